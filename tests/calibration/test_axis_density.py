@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -179,6 +180,12 @@ def test_one_block_gives_no_intervals_and_few_a_warning(table):
     assert n_blocks == 1
     assert set(intervals.values()) == {(0.0, np.inf)}
     assert [finding.name for finding in density_findings(table, fit, 7)] == ["field-few-blocks"]
+    # The widest hits that are searched, and a climb that was broken off.
+    _, widest = sigma_bounds(table)
+    for sigma, names in ((widest, ["field-sigma-at-ceiling"]), (0.99 * widest, [])):
+        bad = replace(fit, mixture=fit.mixture._replace(sigma=sigma), converged=not names)
+        expected = names + ["field-not-converged"] * bool(names)
+        assert [finding.name for finding in density_findings(table, bad, 20)] == expected
 
 
 def test_axes_without_obstacles_and_readings_without_measurement_are_left_out(room):

@@ -7,6 +7,7 @@ from beamfield.calibration.beam_table import BeamTable
 from beamfield.calibration.evaluation import (
     DEFAULTS,
     block_standard_error,
+    is_worth_it,
     likely_causes,
     pit_deviation,
     randomized_pit,
@@ -85,6 +86,9 @@ def test_the_pit_is_uniform_for_the_true_model_and_not_for_another(rng):
 def test_deviation_of_evenly_spread_values_is_half_a_step():
     assert pit_deviation((np.arange(10) + 0.5) / 10) == pytest.approx(0.05)
     assert np.isnan(pit_deviation(np.array([])))
+    # Above the diagonal at one end, below it at the other.
+    assert pit_deviation(np.array([0.0, 0.1, 0.2])) == pytest.approx(0.8)
+    assert pit_deviation(np.array([0.8, 0.9, 1.0])) == pytest.approx(0.8)
 
 
 def test_each_kind_of_reading_is_given_its_cause():
@@ -103,3 +107,14 @@ def test_the_timeline_is_the_mean_of_each_scan(rng):
     assert line.log_likelihood[7] == pytest.approx(by_hand)
     assert line.held_out[7]
     assert not line.held_out[8]
+
+
+@pytest.mark.parametrize(
+    ("gain", "spread", "is_worth"),
+    [(0.0051, 0.0, True), (0.0049, 0.0, False), (0.021, 0.01, True), (0.019, 0.01, False)],
+)
+def test_a_parameter_more_is_worth_a_gain_that_is_large_and_sure(gain, spread, is_worth):
+    # Blocks of +- spread sqrt(99) around the gain have the standard error spread.
+    gains = gain + spread * np.sqrt(99.0) * np.tile([-1.0, 1.0], 50)
+    assert block_standard_error(gains, np.arange(100)) == pytest.approx(spread, abs=1e-12)
+    assert is_worth_it(gains, np.arange(100)) is is_worth

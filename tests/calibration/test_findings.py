@@ -11,7 +11,17 @@ import pytest
 
 import beamfield
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.findings import blind_findings, left_out_findings, noise_findings
+from beamfield.calibration.evaluation import ModelScore, uniform_parameters
+from beamfield.calibration.findings import (
+    blind_findings,
+    cone_findings,
+    left_out_findings,
+    noise_findings,
+    score_findings,
+    selection_findings,
+    table_findings,
+)
+from beamfield.calibration.selection import REASONS, Selection
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
 
@@ -74,6 +84,87 @@ def test_masked_beams_are_not_taken_for_lost_measurements(rng):
     (finding,) = left_out_findings(*reversed(log_and_table(ranges)))
     assert finding.name == "nan-readings"
     assert finding.values["share"] == pytest.approx(30 / 36 / 5)
+
+
+@pytest.mark.parametrize(("too_close", "names"), [(85, []), (87, ["too-close-readings"])])  # of 80 x 36
+def test_readings_nearer_than_the_least_range_are_named_where_they_are_many(rng, too_close, names):
+    ranges = readings(rng)
+    ranges[:, :6] = np.nan  # masked: 480
+    log, table = log_and_table(ranges)
+    table = replace(table, n_no_measurement=480 + too_close, n_too_close=too_close, ranges=table.ranges[too_close:],
+                    expected_ranges=table.expected_ranges[too_close:], scan=table.scan[too_close:],
+                    beam=table.beam[too_close:], stamps=table.stamps[too_close:])  # fmt: skip
+    found = list(left_out_findings(table, log))
+    assert [one.name for one in found] == names
+    assert all(one.text.startswith("3.0% of the readings are nearer") for one in found)
+
+
+def test_a_beam_is_blind_by_fifty_readings_and_if_others_return(rng):
+    log, table = log_and_table(readings(rng))
+    for n, blind in ((49, 0.0), (50, 4.0)):
+        found = list(blind_findings(table.select(table.scan < n), log))
+        assert sum(one.values["n_beams"] for one in found) == blind
+    # Where the map has nothing, a return is none of its obstacles.
+    expected = np.where((table.beam == 2) & (table.scan < 25), 8.0, 3.0)
+    found = replace(table, expected_ranges=expected, ranges=np.where(expected == 8.0, 3.0, table.ranges))
+    (finding,) = blind_findings(found, log)
+    assert finding.values == {"n_beams": 4.0, "share": pytest.approx((4 * 80 - 25) / (36 * 80 - 25))}
+    # Of a sensor that hardly sees anything no beam is blind.
+    seldom = np.where((table.beam % 9 == 0) & (table.ranges < 8.0), 3.0, 8.0)
+    assert not list(blind_findings(replace(table, ranges=seldom), log))
+
+
+@pytest.mark.parametrize(("n_off", "names"), [(10, []), (11, ["poses-off-map"])])
+def test_poses_off_the_map_are_named_from_a_tenth_of_all_scans_on(n_off, names):
+    reason = np.full(100, REASONS.index("standing still"), np.int8)
+    reason[:n_off], reason[-5:] = REASONS.index("off the map"), -1
+    found = list(selection_findings(Selection(reason < 0, reason)))
+    assert [one.name for one in found] == names
+    assert all("11 of 100 reference poses (11%)" in one.text for one in found)
+
+
+@pytest.mark.parametrize(
+    ("behind", "names"),
+    [
+        ((0.1, 0.51), []),
+        ((-0.01, 0.51), ["fit-not-better"]),
+        ((0.1, 0.49), ["map-says-nothing"]),
+        ((0.1, 0.0), ["fit-not-better", "map-says-nothing"]),
+    ],
+)
+def test_a_fit_is_judged_by_what_it_gains_over_other_models(behind, names):
+    others = zip(("nav2 defaults", "uniform"), behind, strict=True)
+    scores = [ModelScore("fit", uniform_parameters(0.1), -1.0, 0.1)]
+    scores += [ModelScore(name, uniform_parameters(0.1), -1.0 - by, 0.1, by, 0.01) for name, by in others]
+    assert [one.name for one in score_findings(tuple(scores))] == names
+
+
+def test_cones_are_named_with_their_width():
+    log = SensorLog(FINDER, np.zeros(0), np.zeros((0, 36)), np.zeros((0, 3)), np.zeros((0, 3)))
+    assert not list(cone_findings(log))
+    (finding,) = cone_findings(replace(log, finder=replace(FINDER, opening_angle=np.pi / 6)))
+    assert "cones of 30 degrees" in finding.text
+
+
+@pytest.mark.parametrize(("n_unknown", "text"), [(1120, ""), (1122, "Only 50%"), (3120, "Only 33%")])
+def test_a_map_of_which_rays_see_little_is_named(rng, n_unknown, text):
+    _, table = log_and_table(readings(rng))  # 2880 readings
+    expected = np.where(np.arange(2880) < 880, 8.0, 3.0)
+    found = list(table_findings(replace(table, expected_ranges=expected, n_unknown=n_unknown)))
+    assert len(found) == bool(text)
+    wanted = f"{text} of the readings have an expected range: {n_unknown} rays cross unknown space, 880 hit nothing"
+    assert all(one.name == "few-expected-ranges" and one.text.startswith(wanted) for one in found)
+
+
+def test_sectors_pass_half_a_turn_and_a_few_are_named(rng):
+    log, table = log_and_table(readings(rng))
+    table = replace(table, ranges=np.where(np.isin(table.beam, [17, 18, 19, 30]), 8.0, 3.0))
+    around = replace(log, finder=RangeFinder.from_bearings(np.radians(np.arange(0.0, 360.0, 10.0)), 8.0))
+    (finding,) = blind_findings(table, around)
+    assert "Beams 17..19 (bearings 169.9 to -169.9 degrees), 30..30 (bearings -60.1 to -59.9" in finding.text
+    (finding,) = blind_findings(replace(table, ranges=np.where(table.beam % 5 == 0, 8.0, 3.0)), around)
+    assert finding.text.count("bearings") == finding.do.count("--mask=") == 5
+    assert "and 3 more sectors never return" in finding.text
 
 
 def test_every_warning_says_why_it_matters_and_what_to_do():

@@ -99,6 +99,22 @@ def test_modes_of_nearly_equal_likelihood(gap, named):
     assert ("several-modes" in {finding.name for finding in findings}) == named
 
 
+def test_hits_all_far_behind_the_walls_leave_the_offset_at_its_limit():
+    rng = np.random.default_rng(7)
+    expected = rng.uniform(1.0, 6.0, 3000)
+    result = learn_intrinsic_parameters(rng.normal(expected + 1.0, 0.05), expected, MAX_RANGE, fit_offset=True)
+    assert "offset-at-limit" in {finding.name for finding in result.findings}
+
+
+def test_shorts_all_next_to_the_sensor_leave_their_rate_at_its_ceiling():
+    rng = np.random.default_rng(8)
+    expected = rng.uniform(1.0, 7.0, 3000)
+    z = rng.normal(expected, 0.05)
+    z[:600] = 1e-6
+    result = learn_intrinsic_parameters(z, expected, MAX_RANGE)
+    assert "lambda-at-ceiling" in {finding.name for finding in result.findings}
+
+
 @pytest.mark.oracle
 def test_the_set_where_components_trade_places_says_so(oracle):
     with np.load(oracle / "calibration" / "sim_C.npz", allow_pickle=False) as file:

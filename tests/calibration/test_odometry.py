@@ -9,12 +9,14 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
+from beamfield.calibration.odometry.findings import odometry_findings
 from beamfield.calibration.odometry.learning import calibrate_odometry
 from beamfield.calibration.odometry.noise_family import DIFFERENTIAL, GAUSSIAN, OMNI
 from beamfield.calibration.odometry.noise_fit import fit_levels
-from beamfield.calibration.odometry.result import OdometryCalibration, OdometryOptions
+from beamfield.calibration.odometry.result import Estimate, OdometryCalibration, OdometryOptions
 from beamfield.calibration.odometry.windows import cut_odometry_windows, update_scans
 from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.kernels.window_noise import negative_log_likelihood
 from beamfield.models.differential_motion import DifferentialMotion
@@ -143,6 +145,80 @@ def test_odometry_that_loses_its_sign_backwards_is_named():
     result = calibrate_odometry(log_of(chained(steps), chained(wrong)), EVERY_SCAN)
     sign = next(finding for finding in result.findings if finding.name == "odometry-sign")
     assert (sign.values["n_lost"], sign.values["n_backwards"], sign.values["first_s"]) == (20.0, 20.0, 60.0)
+
+
+def sign_log(shown: FloatArray, driven: FloatArray) -> SensorLog:
+    """Return a log whose reference and odometry move by so many metres, (n,), in steps of a second."""
+    poses, odometry = (
+        np.cumsum(np.pad(np.array(steps)[:, None], ((1, 0), (0, 2))), axis=0) for steps in (shown, driven)
+    )
+    log = log_of(poses, odometry)
+    return replace(log, stamps=log.stamps + 500.0)
+
+
+@pytest.mark.parametrize(
+    ("n_lost", "n_right", "step", "found"),
+    [(5, 20, 0.05, True), (5, 20, 0.035, False), (4, 0, 0.05, False), (5, 21, 0.05, False)],
+)
+def test_a_sign_is_lost_in_five_steps_back_and_a_fifth_of_them_at_least(common, n_lost, n_right, step, found):
+    shown = np.r_[np.full(10, step), np.full(n_right + n_lost, -step)]
+    driven = np.r_[shown[: 10 + n_right], np.full(n_lost, step)]
+    signs = [one for one in odometry_findings(common, sign_log(shown, driven)) if one.name == "odometry-sign"]
+    values = {"n_lost": n_lost, "n_backwards": n_lost + n_right, "first_s": 10.0 + n_right}
+    assert [dict(one.values) for one in signs] == [values] * found
+
+
+def found_in(result: OdometryCalibration, **changes: object) -> list[Finding]:
+    still = sign_log(np.zeros(3), np.zeros(3))
+    return list(odometry_findings(replace(result, **changes), still))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("distance_scale", 0.01), ("turn_scale", 0.01), ("drift", 0.005), ("yaw", 0.01)]
+)
+def test_systematic_errors_are_named_that_are_sure_and_worth_correcting(common, name, value):
+    def found(value: float, low: float, high: float) -> list[str]:
+        return [one.name for one in found_in(common, systematic={name: Estimate(value, low, high)})]
+
+    assert found(1.1 * value, 0.1 * value, 3.0 * value) == [f"odometry-{name.replace('_', '-')}"]
+    assert found(-1.1 * value, -3.0 * value, -0.1 * value) == [f"odometry-{name.replace('_', '-')}"]
+    assert found(0.9 * value, 0.1 * value, 3.0 * value) == []
+    assert found(1.1 * value, -0.1 * value, 3.0 * value) == []
+
+
+def test_noise_is_white_up_to_a_power_of_the_length(common):
+    def found(power: float) -> list[Finding]:
+        return found_in(common, systematic={}, by_length=((2, 0.05), (4, 0.3), (8, 0.05 * 4.0**power)))
+
+    assert found(0.64) == found(-0.64) == []
+    (lasting,), (cancelling,) = found(0.66), found(-0.66)
+    assert lasting.name == cancelling.name == "odometry-not-white"
+    assert "alpha grows from 0.05 over 2 to 0.12 over 8 update steps" in lasting.text
+    assert lasting.why.startswith("Errors that last")
+    assert lasting.do.startswith("Put the systematic errors right")
+    assert "alpha shrinks from 0.05 over 2 to 0.02 over 8 update steps" in cancelling.text
+    assert cancelling.why.startswith("Errors that cancel")
+    assert cancelling.do == "Check the stamps, and the error of the reference."
+    low = found_in(common, systematic={}, by_length=((2, 0.019), (8, 0.001)))
+    assert low == []  # what is advised is the floor then
+
+
+def test_faults_are_turns_or_slips_or_neither(common):
+    residuals = [[9.0, 0.0, 0.31], [0.0, 0.62, 0.29], [0.58, 0.0, 0.0], [0.1, 0.0, 0.0], [0.08, 0.0, -0.3]]
+    driven = np.column_stack([[0.0, 2.0, 4.0, 6.0, 6.0, 6.0], np.zeros((6, 2))])
+    windows = replace(common.windows, odometry=driven, first=np.arange(5), length=1, residuals=np.array(residuals))
+    of = {"windows": windows, "is_noise": np.zeros(5, np.bool_), "fault_stamps": np.array([7.0])}
+    (faults,) = found_in(common, systematic={}, **of)
+    assert "(1 with a turn missed or made up, 2 with a slip or a lost sign), first from stamp 7.0 on" in faults.text
+    assert dict(faults.values) == {"n_windows": 5.0, "first_stamp": 7.0, "n_turns": 1.0, "n_slips": 2.0}
+
+
+def test_few_blocks_and_a_reference_made_of_the_odometry_are_named(common):
+    assert [one.name for one in found_in(common, systematic={}, n_blocks=3)] == ["odometry-few-blocks"]
+    assert found_in(common, systematic={}, n_blocks=4) == []
+    for largest, names in ((0.9e-3, ["odometry-is-reference"]), (1.1e-3, [])):
+        same = replace(common.windows, residuals=np.full_like(common.windows.residuals, -largest))
+        assert [one.name for one in found_in(common, systematic={}, windows=same)] == names
 
 
 def test_a_drift_that_adds_up_is_not_white():

@@ -97,7 +97,30 @@ def test_fast_turns_are_dropped():
 
 def test_a_log_without_odometry_can_be_used():
     log = drive()
-    assert select_scans(changed(log, odometry=np.full((60, 3), np.nan)), room()).used.all()
+    blind = changed(log, odometry=np.full((60, 3), np.nan))
+    assert select_scans(blind, room()).used.all()
+    # Its turns are then those of the reference; else they are the odometry's.
+    poses = log.poses.copy()
+    poses[30:, 2] += 0.3
+    assert select_scans(changed(blind, poses=poses), room()).dropped == {"turning too fast": 2}
+    assert select_scans(changed(log, poses=poses), room()).dropped == {}
+    poses[30:, 2] += 0.1
+    assert select_scans(changed(log, poses=poses), room()).dropped == {"reference pose jumps": 2}
+
+
+def test_a_scan_that_comes_twice_turns_by_rounding_alone():
+    log = drive()
+    stamps, poses, odometry = log.stamps.copy(), log.poses.copy(), log.odometry.copy()
+    stamps[31], poses[31], odometry[31] = stamps[30], poses[30], odometry[30] + [0.0, 0.0, 1e-12]
+    found = select_scans(changed(log, stamps=stamps, poses=poses, odometry=odometry), room())
+    assert found.dropped == {"standing still": 1}
+
+
+def test_it_is_the_sensor_that_must_be_on_the_map():
+    log = drive()
+    ahead = RangeFinder.from_bearings(np.linspace(-1.0, 1.0, 5), 8.0, mount=(3.05, 0.0, 0.0))
+    # It reaches the wall at 9.9 m from 6.85 m on.
+    assert select_scans(changed(log, finder=ahead), room()).dropped == {"sensor inside a wall": 1}
 
 
 def test_a_log_off_the_map_is_an_error_that_names_both_places():

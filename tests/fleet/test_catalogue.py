@@ -17,7 +17,7 @@ import pytest
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.fleet.beam_schema import beam_schema
 from beamfield.fleet.catalogue import create_catalogue, open_catalogue
-from beamfield.fleet.run_findings import run_findings
+from beamfield.fleet.run_findings import leftover_finding, run_findings
 from beamfield.fleet.run_record import MapInfo, RunRecord
 from beamfield.fleet.shard_passes import SensorLimits, sensor_limits
 from beamfield.maps.occupancy import OccupancyGrid
@@ -200,6 +200,9 @@ def test_clocks_that_jump_and_runs_at_the_same_time_are_found():
     assert "bob (hall)" in findings[1].text
     assert findings[2].values == {"runs": 1.0}
     assert f"{inside.log} and {good[0].log} of ann" in findings[2].text
+    assert not [*leftover_finding(())]
+    (left,) = leftover_finding(("beams/a.parquet", "beams/b.parquet"))
+    assert left.text == "2 files of beams belong to no run, as beams/a.parquet."
 
 
 def test_shards_are_sent_to_workers(place: Path):

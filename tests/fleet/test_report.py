@@ -113,6 +113,7 @@ def test_the_light_is_that_of_the_worst_fault_and_robots_are_ranked():
         ("grey", "untested")
     ]
     (site,) = site_findings(mixed)
+    assert site.name == "site-runs-left-out"
     assert "10 of 16 runs" in site.text
     assert site.text.endswith("robot stood <still>.")
     missing = [record("r8", day, reason=f"/logs/{day}.log: no such file") for day in range(2)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.geometry import compose
+from beamfield.geometry import compose, wrap_angle
 from beamfield.io.logs.carmen import read_carmen, write_carmen
 from beamfield.io.logs.text_scans import TextOptions
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
@@ -24,10 +24,10 @@ def flaser(i, ranges="1 2 3 4", laser=None, robot=None, kind="FLASER", stamp=Non
     return f"{kind} {n} {ranges} {pose} {robot or pose} " + TIME.format(i if stamp is None else stamp)
 
 
-def robotlaser(i, n=4, ranges="1 2 3 4", mount_x=0.0, kind="ROBOTLASER1", limit=20.0):
+def robotlaser(i, n=4, ranges="1 2 3 4", mount_x=0.0, kind="ROBOTLASER1", limit=20.0, turned=0.0):
     return (
         f"{kind} 0 -1.5 3.0 1.0 {limit} 0.01 0 {n} {ranges} 2 7 8 "
-        f"{0.5 * i + mount_x} 0 0 {0.5 * i} 0 0 0 0 0 0 0 " + TIME.format(i)
+        f"{0.5 * i + mount_x} 0 {turned} {0.5 * i} 0 0 0 0 0 0 0 " + TIME.format(i)
     )
 
 
@@ -82,6 +82,14 @@ def test_a_constant_transform_between_the_poses_is_the_mount(tmp_path):
     np.testing.assert_allclose(sensor.poses, robot, atol=1e-6)
 
 
+@pytest.mark.parametrize(("jitter", "is_mount"), [(1.5e-3, True), (2.5e-3, False)])
+def test_a_transform_is_constant_to_two_millimetres(tmp_path, jitter, is_mount):
+    lines = [flaser(i, laser=f"{0.5 * i + 0.2 + jitter * (i == 3)} 0 0", robot=f"{0.5 * i} 0 0") for i in range(6)]
+    sensor = read_one(tmp_path, *lines)
+    assert sensor.finder.mounts[0, 0] == pytest.approx(0.2 if is_mount else 0.0)
+    assert sensor.has_odometry is not is_mount
+
+
 def test_the_declared_offset_is_the_mount_and_the_first_pose_is_the_lasers(tmp_path):
     lines = [flaser(i, laser=f"{i} 0 1.5", robot=f"{i} {i} 0") for i in range(5)]
     sensor = read_one(tmp_path, "PARAM robot_frontlaser_offset 0.3 host 0", *lines)
@@ -105,6 +113,8 @@ def test_another_number_of_beams_spans_what_the_log_says_or_half_a_turn(tmp_path
     assert any("4 beams is an unusual number" in note for note in log.notes)
     sensor = read_one(tmp_path, "PARAM laser_front_laser_fov 1.5 host 0", *lines)
     np.testing.assert_allclose(sensor.finder.bearings, [-0.75, -0.25, 0.25, 0.75])
+    sensor = read_one(tmp_path, "PARAM laser_front_laser_fov 180 host 0", *lines)  # degrees, it seems
+    np.testing.assert_allclose(np.degrees(sensor.finder.bearings), [-90, -30, 30, 90])
 
 
 def test_the_rear_laser_looks_backwards(tmp_path):
@@ -113,6 +123,41 @@ def test_the_rear_laser_looks_backwards(tmp_path):
     assert sensor.finder.name == "RLASER"
     np.testing.assert_allclose(sensor.finder.mounts[:, 0], -0.2)
     np.testing.assert_allclose(np.degrees(sensor.finder.bearings), [90, 150, -150, -90])
+    said = [f"PARAM {name} host 0" for name in (
+        "laser_front_laser_start_angle -0.3", "laser_front_laser_resolution 1", "robot_front_laser_max 20",
+        "laser_rear_laser_start_angle -1.0", "laser_rear_laser_resolution 30", "robot_rear_laser_max 10",
+        "robot_rearlaser_offset -0.2",
+    )]  # fmt: skip
+    log = read_carmen(write(tmp_path, *said, *lines))
+    finder = log.only_sensor().finder
+    np.testing.assert_allclose(wrap_angle(finder.bearings - np.pi), -1.0 + np.radians([0, 30, 60, 90]))
+    assert finder.max_range == 10.0
+    assert "RLASER: the laser is at (-0.2 m, 0 m, 180 degrees) on the robot" in log.notes
+    no_limit = read_one(tmp_path, "PARAM robot_rear_laser_max 0 host 0", *lines)
+    assert no_limit.finder.max_range == pytest.approx(4.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("number", "mount"), [(1, [0.3, 0.0, 0.0]), (2, [-0.2, 0.0, np.pi]), (3, [0.0, 0.0, 0.0])])
+def test_raw_scans_are_of_the_front_or_the_rear_laser(tmp_path, number, mount):
+    raw = [f"RAWLASER{number} 0 0 3.0 1.0 20 0.01 0 4 1 2 3 4 0 {TIME.format(i)}" for i in range(3)]
+    said = ["PARAM robot_frontlaser_offset 0.3 host 0", "PARAM robot_rearlaser_offset -0.2 host 0"]
+    sensor = read_one(tmp_path, *said, *raw)
+    np.testing.assert_allclose(sensor.finder.mounts[0], mount)
+    np.testing.assert_array_equal(sensor.ranges[:, :3], np.tile([1.0, 2.0, 3.0], (3, 1)))
+
+
+@pytest.mark.parametrize("kind", ["ROBOTLASER2", "RLASER"])
+def test_a_laser_at_the_rear_is_there_whichever_way_its_heading_was_rounded(tmp_path, kind):
+    turned = [3.141592, 3.141593, 3.141592, 3.141593]  # pi lies between: half of them are read as nearly -pi
+    lines = [robotlaser(i, mount_x=-0.2, kind=kind, turned=angle) for i, angle in enumerate(turned)]
+    if kind == "RLASER":
+        poses = [(f"{0.5 * i - 0.2} 0 {angle}", f"{0.5 * i} 0 0") for i, angle in enumerate(turned)]
+        lines = [flaser(i, laser=laser, robot=robot, kind=kind) for i, (laser, robot) in enumerate(poses)]
+    sensor = read_one(tmp_path, *lines)
+    np.testing.assert_allclose(sensor.poses, [[0.5 * i, 0.0, 0.0] for i in range(4)])
+    np.testing.assert_allclose(sensor.finder.mounts[:, :2], np.tile([-0.2, 0.0], (4, 1)), atol=1e-6)
+    behind = np.pi + np.array([-1.5, -0.5, 0.5, 1.5] if kind == "ROBOTLASER2" else np.radians([-90, -30, 30, 90]))
+    np.testing.assert_allclose(wrap_angle(sensor.finder.bearings - behind), 0.0, atol=2e-6)
 
 
 def test_robotlaser_says_its_angles_limit_and_mount(tmp_path):
@@ -121,8 +166,14 @@ def test_robotlaser_says_its_angles_limit_and_mount(tmp_path):
     assert sensor.finder.name == "ROBOTLASER1"
     np.testing.assert_allclose(sensor.finder.mounts, [[0.25, 0.0, b] for b in (-1.5, -0.5, 0.5, 1.5)])
     assert sensor.finder.max_range == 20.0
-    assert np.isposinf(sensor.ranges[:, 3]).all()
+    np.testing.assert_array_equal(sensor.ranges, np.tile([1.0, 2.0, 3.0, np.inf], (5, 1)))
     np.testing.assert_allclose(sensor.poses[:, 0], 0.5 * np.arange(5))
+    # A resolution that makes more than a full turn gives way to the field of view; a limit of 0 is none.
+    lines = [robotlaser(i, limit=0.0).replace(" 1.0 0.0 ", " 3.0 0.0 ") for i in range(5)]
+    log = read_carmen(write(tmp_path, *lines))
+    np.testing.assert_allclose(log.only_sensor().finder.bearings, [-1.5, -0.5, 0.5, 1.5])
+    assert any("resolution is implausible, 57.3 degrees from the field of view" in note for note in log.notes)
+    assert log.only_sensor().finder.max_range == pytest.approx(4.0, abs=0.02)
 
 
 def test_odometry_lines_that_differ_from_the_lone_poses_are_the_odometry(tmp_path):
@@ -139,6 +190,33 @@ def test_odometry_lines_that_follow_the_lone_poses_are_left_out_with_a_note(tmp_
     assert log.odometry is None
     assert not log.only_sensor().has_odometry
     assert any("follow the corrected poses" in note for note in log.notes)
+
+
+@pytest.mark.parametrize(("apart", "follows"), [(0.09, True), (0.11, False)])
+def test_odometry_lines_follow_at_less_than_a_decimetre_whatever_a_few_do(tmp_path, apart, follows):
+    x = [0.5 * i + (30.0 if i == 1 else apart) for i in range(6)]
+    lines = [f"ODOM {x[i]} 0 0 0 0 0 " + TIME.format(i) for i in range(6)] + [robotlaser(i) for i in range(5)]
+    log = read_carmen(write(tmp_path, *lines))
+    assert (log.odometry is None) is follows
+    # Another laser of the same log, which has no poses of its own, does not change that.
+    raw = [f"RAWLASER2 0 -1.5 3.0 1.0 20 0.01 0 4 1 2 3 4 0 {TIME.format(i)}" for i in range(5)]
+    assert (read_carmen(write(tmp_path, *lines, *raw)).odometry is None) is follows
+
+
+def test_odometry_lines_of_another_time_follow_nothing_and_are_left_out(tmp_path):
+    odometry = [f"ODOM {9 - i} 7 0 0 0 0 " + TIME.format(100 + i) for i in range(6)]
+    assert read_carmen(write(tmp_path, *odometry, *[robotlaser(i) for i in range(5)])).odometry is None
+
+
+def test_where_the_first_stamps_are_lost_scans_and_odometry_have_the_loggers(tmp_path):
+    lines = [f"ODOM {-i} 3 0 0 0 0 7 host {i}" for i in range(6)] + [
+        robotlaser(i).replace(TIME.format(i), f"7 host {i}") for i in range(5)
+    ]
+    log = read_carmen(write(tmp_path, *lines))
+    np.testing.assert_array_equal(log.only_sensor().stamps, np.arange(5))
+    np.testing.assert_array_equal(log.only_sensor().odometry[:, 0], -np.arange(5.0))
+    both = [line.replace("7 host", f"{20 + i % 6} host") for i, line in enumerate(lines)]
+    np.testing.assert_array_equal(read_one(tmp_path, *both).stamps, 20 + np.arange(5))
 
 
 def test_odometry_that_arrives_out_of_order_is_sorted_with_a_note(tmp_path):
@@ -210,6 +288,7 @@ BAD = {
     "infinite odometry": (flaser(2, robot="0 inf 0"), "expected a finite pose, got 0.0 inf"),
     "absurd pose": (flaser(2, laser="1e300 0 0"), r"expected a finite pose, got 1e\+300"),
     "absurd range": (flaser(2, "1 2 1e300 4"), r"expected a range in metres, got 1e\+300"),
+    "degrees a million times": (robotlaser(2).replace("0 -1.5 3.0", "0 -1.5 2000", 1), "expected angles in radians"),
     "junk": ("12 monkeys", "expected the name of a CARMEN message, got '12'"),
     "short odometry": ("ODOM 1 2 3", "expected 10 words"),
     "nan odometry": ("ODOM 1 nan 3 0 0 0 1 host 1", "expected a finite pose"),
@@ -336,6 +415,10 @@ def test_a_ring_of_cones_is_told_by_parameters_of_our_own(tmp_path):
     assert finder.opening_angle == 0.5
     np.testing.assert_allclose(finder.mounts, compose(np.outer([-1.5, -0.5, 0.5, 1.5], [0, 0, 1]), [0.2, 0, 0]))
     assert read_one(tmp_path, *ring_lines()).finder.opening_angle == 0.0
+    inwards = read_one(tmp_path, *ring_lines(("beamfield_ring_radius", -0.2))).finder
+    np.testing.assert_allclose(inwards.mounts[0], [0.0, 0.2, -np.pi / 2], atol=1e-12)
+    rear = [flaser(i, kind="RLASER") for i in range(3)]
+    assert read_one(tmp_path, *ring_lines(("beamfield_opening_angle", 0.5))[:1], *rear).finder.opening_angle == 0.0
 
 
 def test_a_ring_before_the_robots_centre_survives_writing(tmp_path):

@@ -115,6 +115,7 @@ def test_unconnected_frames_are_named_with_the_trees_that_are_known():
         (((np.nan, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)), "finite"),
         (((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)), "length 1"),
         (((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 1.0)), "length 1"),
+        (((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.011)), "length 1"),
     ],
 )
 def test_what_is_no_transform_is_an_error_only_for_those_who_use_it(values, what):

@@ -44,10 +44,22 @@ def test_neighbouring_codes_belong_together_and_the_smallest_is_the_limit(rng):
     np.testing.assert_array_equal(np.isposinf(found.ranges), mask)
 
 
+@pytest.mark.parametrize(("second", "codes"), [(49.92, (49.92, 50.0)), (49.88, (50.0,))])
+def test_codes_belong_together_within_a_fifth_of_a_percent_and_do_not_hide_each_other(rng, second, codes):
+    z = np.round(rng.uniform(1.0, 49.5, (200, 90)), 2)
+    mask = rng.random(z.shape) < 0.08
+    found = resolve_no_return(np.where(mask, rng.choice([second, 50.0], z.shape, p=[0.4, 0.6]), z))
+    assert found.policy.values == codes
+    assert found.max_range == codes[0]
+
+
 def test_a_glitch_beyond_the_codes_does_not_hide_them(rng):
     z, _ = with_share(rng, readings(rng), 50.0, 0.02)
     z[3, 3] = 655.35
-    assert resolve_no_return(z).max_range == 50.0
+    found = resolve_no_return(z)
+    assert found.max_range == 50.0
+    assert found.ranges[3, 3] == np.inf
+    assert found.policy.share == np.mean(z >= 50.0)
 
 
 def test_ranges_without_codes_get_a_limit_beyond_the_largest_and_a_note(rng):
@@ -118,13 +130,25 @@ def test_frequent_zeros_mean_no_return_if_nothing_else_does(rng):
     assert found.max_range < 5.6
 
 
+@pytest.mark.parametrize(("n_zeros", "means_no_return"), [(180, True), (179, False)])  # of 18 000
+def test_zeros_are_frequent_from_a_hundredth_on_and_beside_infinity_they_are_nothing(rng, n_zeros, means_no_return):
+    z = readings(rng, longest=5.5)
+    z.ravel()[:n_zeros] = 0.0
+    assert (resolve_no_return(z).policy.values == (0.0,)) is means_no_return
+    z[-1, -1] = np.inf
+    found = resolve_no_return(z)
+    assert found.policy.values == ()
+    assert np.isnan(found.ranges.ravel()[:n_zeros]).all()
+
+
 def test_zeros_beside_codes_and_negative_readings_are_no_measurement(rng):
     z, _ = with_share(rng, readings(rng), 81.83, 0.05)
     z[:20, 0] = 0.0
-    z[0, 1] = -3.0
+    z[0, 1], z[0, 2] = -3.0, -np.inf
     found = resolve_no_return(z)
     assert np.isnan(found.ranges[:20, 0]).all()
     assert np.isnan(found.ranges[0, 1])
+    assert found.ranges[0, 2] == -np.inf  # too close
     assert any("0 or negative" in note for note in found.notes)
 
 

@@ -37,7 +37,7 @@ GFS = (
     laser_reading(1),
     particles((10, 0, 0, -10.0), (11, 0, 0, -7.0)),
     laser_reading(2),
-    particles((20, 0, 7.0, -18.0), (21, 0, 0, -20.0)),
+    particles((20, 0, 0, -18.0), (21, 0, 7.0, -20.0)),
 )
 
 
@@ -46,7 +46,7 @@ def test_gmapping_reference_is_the_path_of_the_particle_that_is_best_in_sum(tmp_
     sensor = log.only_sensor()
     # Particle 0 ends with -9 (its ancestor 1) - 18 = -27, particle 1 with -5 - 20 = -25: the second, whose ancestor
     # in the first scan is particle 0.
-    np.testing.assert_allclose(sensor.poses[:, 0], [0.0, 11.0, 21.0])
+    np.testing.assert_allclose(sensor.poses, [[0.0, 0.0, 0.0], [11.0, 0.0, 0.0], [21.0, 0.0, 7.0 - 2.0 * np.pi]])
     np.testing.assert_allclose(sensor.odometry[:, 0], [0.0, 1.0, 2.0])
     np.testing.assert_array_equal(sensor.stamps, [100, 101, 102])
     assert sensor.finder.max_range == 80.0
@@ -78,7 +78,7 @@ def test_gmapping_bad_line_is_named(tmp_path, line, message):
 
 def test_gmapping_counts_that_disagree_are_refused(tmp_path):
     with pytest.raises(FormatError, match="do not fit its 2 particles"):
-        read_gfs(write(tmp_path, *GFS, "RESAMPLE 2 0 7"))
+        read_gfs(write(tmp_path, *GFS, "RESAMPLE 2 0 2"))
     with pytest.raises(FormatError, match="number of particles changes at scan 4 to 3"):
         read_gfs(write(tmp_path, *GFS, laser_reading(3), particles(*[(1, 2, 3, 4)] * 3)))
     with pytest.raises(FormatError, match="7 beams: the format does not give their bearings"):
@@ -105,6 +105,7 @@ def test_g2o_vertices_are_the_reference_and_edges_are_left(tmp_path):
     ("lines", "message"),
     [
         ((g2o_scan(0),), r":1: ROBOTLASER1: the scan has no line VERTEX_SE2"),
+        (("VERTEX_SE2 0 1 2 3", g2o_scan(0), g2o_scan(1)), r":3: ROBOTLASER1: the scan has no line VERTEX_SE2"),
         (("VERTEX_SE2 0 1 2",), r":1: VERTEX_SE2: expected 5 words"),
         (("VERTEX_SE2 0 1 2 nan",), r":1: VERTEX_SE2: expected a finite pose"),
         (("VERTEX_SE2 0 1 2 3", g2o_scan(0).rsplit(" ", 1)[0]), r":2: ROBOTLASER1: expected 27 words \(3 .*\), got 26"),
@@ -131,6 +132,7 @@ def test_coreslam_zeros_are_no_return_and_the_front_beam_looks_ahead(tmp_path, r
     np.testing.assert_allclose(sensor.ranges[words > 0], words[words > 0] / 1000)
     np.testing.assert_allclose(sensor.stamps, 1.0 + 0.1 * np.arange(20))
     assert sensor.finder.bearings[340] == 0.0
+    assert sensor.finder.min_range == 0.02  # nearer "ranges" are error codes
     assert np.degrees(np.ptp(sensor.finder.bearings)) == pytest.approx(239.4, abs=0.1)
     assert any("ticks are not read as odometry" in note for note in log.notes)
 

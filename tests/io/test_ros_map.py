@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.maps.ros_map import image_path, read_ros_map, ros_map_notes
+from beamfield.io.maps.ros_map import between_share, image_path, read_ros_map, ros_map_notes
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.occupancy import OccupancyGrid
 
@@ -380,6 +380,22 @@ def test_a_note_says_when_the_grey_of_unknown_counts_as_free(write):
     for keys in ({"free_thresh": "0.196"}, {"negate": "yes"}, {"mode": "raw"}):
         assert ros_map_notes(write([205, 255], **keys)) == []
     assert ros_map_notes(write([204, 255])) == []
+    # What is transparent is unknown in any case.
+    (note,) = ros_map_notes(write([205, 205, 255, 205], alpha=[255, 0, 255, 0]))
+    assert "25.0% of the pixels" in note
+
+
+def test_pixels_between_the_thresholds_are_counted_unless_they_stand_for_unknown(write):
+    # p = 1 - g / 255: 0.65 is at 89, 0.196 at 205.02, and the middle between them at 147.
+    greys = [0, 80, 100, 120, 140, 147, 205, 254]
+    keys = {"free_thresh": "0.196"}
+    assert between_share(write(greys, **keys)) == 3 / 8
+    assert between_share(write(greys, negate="1", **keys)) == 5 / 8
+    assert between_share(write([0, 205, 205, 254], free_thresh="0.1")) == 0.0
+    assert between_share(write([0, 205, 150, 254], free_thresh="0.1")) == 0.0
+    assert between_share(write([0, 205, 150, 151], free_thresh="0.1")) == 2 / 4
+    assert between_share(write([100, 120, 140, 0], alpha=[255, 255, 0, 255], **keys)) == 2 / 4
+    assert between_share(write(greys, mode="raw", **keys)) == 0.0
 
 
 def test_a_map_takes_little_more_memory_while_it_is_read_than_afterwards(write, rng, monkeypatch):

@@ -66,7 +66,9 @@ def test_a_mount_comes_through_chains_of_static_and_moving_frames_with_ros1_slas
     bag.tf("/base_link", "/plate", 2.0, (0.1, 0.0, 0.0))
     bag.tf("/plate", "/laser", 1.5, (0.0, 0.2, 0.0), quaternion(yaw=1.0), static=True)
     bag.scan(0.5, frame="/laser").scan(1.5, frame="/laser")  # the first one lies before all transforms
-    assert np.allclose(read_bag(bag.write(tmp_path)).only_sensor().finder.mounts[1], [0.1, 0.2, 1.0])
+    log = read_bag(bag.write(tmp_path))
+    assert np.allclose(log.only_sensor().finder.mounts[1], [0.1, 0.2, 1.0])
+    assert any("sits at (0.100, 0.200) m, turned by 57.3 degrees, on 'base_link'" in note for note in log.notes)
 
 
 def test_a_sensor_that_moves_on_the_robot_is_refused(tmp_path):
@@ -77,11 +79,26 @@ def test_a_sensor_that_moves_on_the_robot_is_refused(tmp_path):
         read_bag(bag.write(tmp_path))
 
 
+@pytest.mark.parametrize(("x", "yaw_deg", "is_fixed"), [(0.119, 1.9, True), (0.121, 0.0, False), (0.1, 2.1, False)])
+def test_a_mount_may_wander_by_two_centimetres_and_two_degrees(tmp_path, x, yaw_deg, is_fixed):
+    bag = MiniBag()
+    # Quaternions of both signs turn alike.
+    places = [(x, quaternion(yaw=0.0)), (0.1, [-v for v in quaternion(yaw=np.deg2rad(yaw_deg))]), (0.1, quaternion())]
+    for time, (at, q) in enumerate(places):
+        bag.tf("base_link", "laser", float(time), (at, 0.0, 0.0), tuple(q)).scan(float(time))
+    path = bag.write(tmp_path)
+    if is_fixed:
+        assert np.allclose(read_bag(path).only_sensor().finder.mounts[1], [0.1, 0.0, 0.0])
+    else:
+        with pytest.raises(FormatError, match="'laser' moves on 'base_link'"):
+            read_bag(path)
+
+
 def test_a_tilted_sensor_is_refused_and_a_slight_tilt_noted(tmp_path):
-    bag = MiniBag().tf("base_link", "laser", 0.0, q=quaternion(pitch=np.deg2rad(2)), static=True).scan(1.0)
-    assert any("tilted by 2.0 degrees" in note for note in read_bag(bag.write(tmp_path, "slight")).notes)
-    bag = MiniBag().tf("base_link", "laser", 0.0, q=quaternion(pitch=np.deg2rad(30)), static=True).scan(1.0)
-    with pytest.raises(FormatError, match=r"/scan: .*'laser' is tilted by 30\.0 degrees"):
+    bag = MiniBag().tf("base_link", "laser", 0.0, q=quaternion(pitch=np.deg2rad(4.9)), static=True).scan(1.0)
+    assert any("tilted by 4.9 degrees" in note for note in read_bag(bag.write(tmp_path, "slight")).notes)
+    bag = MiniBag().tf("base_link", "laser", 0.0, q=quaternion(pitch=np.deg2rad(5.1)), static=True).scan(1.0)
+    with pytest.raises(FormatError, match=r"/scan: .*'laser' is tilted by 5\.1 degrees"):
         read_bag(bag.write(tmp_path, "steep"))
 
 
@@ -135,8 +152,52 @@ def test_reference_poses_come_from_tf_at_the_scans_stamp_and_never_beyond(tmp_pa
 def test_transforms_far_apart_in_time_are_not_interpolated(tmp_path):
     bag = MiniBag().tf("base_link", "laser", 0.0, static=True).scan(1.0).scan(6.0)
     for time in (0.5, 1.5, 11.5):
-        bag.tf("odom", "base_link", time)
-    assert np.isfinite(read_bag(bag.write(tmp_path)).only_sensor().odometry[:, 0]).tolist() == [True, False]
+        bag.tf("odom", "base_link", time).tf("map", "base_link", time)
+    sensor = read_bag(bag.write(tmp_path)).only_sensor()
+    assert np.isfinite(sensor.odometry[:, 0]).tolist() == np.isfinite(sensor.poses[:, 0]).tolist() == [True, False]
+
+
+def test_poses_of_topics_far_apart_in_time_are_not_interpolated(tmp_path):
+    bag = MiniBag().scan(1.0).scan(6.0)
+    for time in (0.5, 1.5, 11.5):
+        bag.odometry(time, (time, 0.0))
+    sensor = read_bag(bag.write(tmp_path, "odometry")).only_sensor()
+    assert np.isfinite(sensor.odometry[:, 0]).tolist() == [True, False]
+    bag = MiniBag().scan(1.0).scan(6.0)
+    for time in (0.5, 1.5, 11.5):
+        bag.pose(time, (time, 0.0))
+    sensor = read_bag(bag.write(tmp_path, "poses")).only_sensor()
+    assert np.isfinite(sensor.poses[:, 0]).tolist() == [True, False]
+
+
+def test_poses_of_a_topic_are_sorted_the_last_of_one_stamp_counts_and_quaternions_are_normalised(tmp_path):
+    bag = MiniBag().scan(2.95)
+    bag.pose(1.0, (1.0, 0.0)).pose(3.0, (9.0, 0.0)).pose(2.9, (7.0, 0.0)).pose(3.0, (3.0, 0.0), 1.0)
+    bag.messages = [(topic, kind, 3.0 + 0.1 * i, message) for i, (topic, kind, _, message) in enumerate(bag.messages)]
+    log = read_bag(bag.write(tmp_path, "poses"))
+    assert np.allclose(log.only_sensor().poses, [[5.0, 0.0, 0.5]])
+    assert any("1 of 4 messages came after later ones" in note for note in log.notes)
+    bag = MiniBag().scan(2.0)
+    bag.odometry(2.0, (8.0, 0.0)).odometry(2.0, (5.0, 0.0), q=tuple(1.009 * v for v in quaternion(yaw=1.0)))
+    sensor = read_bag(bag.odometry(3.0, (0.0, 0.0)).write(tmp_path, "odometry")).only_sensor()
+    assert np.allclose(sensor.odometry, [[5.0, 0.0, 1.0]])
+
+
+def test_odometry_is_that_of_the_topic_called_so_in_the_frame_that_it_names(tmp_path):
+    bag = MiniBag().scan(1.0)
+    for time in (0.5, 1.5):
+        bag.odometry(time, (1.0, 0.0), topic="/visual").odometry(time, (2.0, 0.0), topic="/wheel_odometry")
+        bag.odometry(time, (3.0, 0.0), topic="/ground_truth/odom").pose(time, (4.0, 0.0), topic="/slam/odom")
+        bag.pose(time, (5.0, 0.0), topic="/amcl_pose")
+    sensor = read_bag(bag.write(tmp_path, "near")).only_sensor()
+    assert (sensor.odometry[0, 0], sensor.poses[0, 0]) == (2.0, 3.0)
+    for time in (0.5, 1.5):
+        bag.odometry(time, (6.0, 0.0), topic="/base/odom", frame="wheels")
+    assert read_bag(bag.write(tmp_path, "exact")).only_sensor().odometry[0, 0] == 6.0
+    bag.tf("base_link", "laser", 0.0, static=True)
+    for time in (0.5, 1.5):
+        bag.tf("odom", "base_link", time, (7.0, 0.0, 0.0)).tf("wheels", "base_link", time, (8.0, 0.0, 0.0))
+    assert read_bag(bag.write(tmp_path, "frames")).only_sensor().odometry[0, 0] == 8.0
 
 
 def test_a_pose_topic_that_was_asked_for_goes_before_tf(tmp_path):
@@ -145,7 +206,9 @@ def test_a_pose_topic_that_was_asked_for_goes_before_tf(tmp_path):
         bag.tf("map", "odom", 100.0 + time).pose(100.0 + time, (5.0, 6.0), 0.1, topic="/mocap", covariance=False)
     path = bag.scan(100.1).write(tmp_path)
     assert np.allclose(read_bag(path).only_sensor().poses, [[0.1, 0.0, 0.02]], atol=1e-6)
-    assert np.allclose(read_bag(path, poses_topic="mocap").only_sensor().poses, [[5.0, 6.0, 0.1]])
+    asked = read_bag(path, poses_topic="mocap")
+    assert np.allclose(asked.only_sensor().poses, [[5.0, 6.0, 0.1]])
+    assert not any("odometry between its poses" in note for note in asked.notes)  # ten a second need none
 
 
 def test_ground_truth_is_found_by_name_and_is_not_taken_for_odometry(tmp_path):
@@ -325,7 +388,8 @@ def test_four_rangers_of_a_drone_are_read_with_their_flow_odometry(tmp_path):
     assert np.allclose(np.rad2deg(sensor.finder.bearings), [-90, 0, 90, 180])
     assert np.allclose(sensor.ranges[0], [0.5, 1.0, 1.5, 4.5])
     assert np.allclose(sensor.odometry, [[1.05, 0, 0.5], [1.15, 0, 0.5], [np.nan] * 3], equal_nan=True, atol=1e-6)
-    assert sensor.finder.opening_angle > 0
+    assert np.rad2deg(sensor.finder.opening_angle) == pytest.approx(27.0)
+    assert (sensor.finder.min_range, sensor.finder.max_range) == (0.04, 4.0)
 
 
 def test_a_single_file_of_a_bag_and_a_folder_that_lost_its_metadata_are_read(tmp_path):

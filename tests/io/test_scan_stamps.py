@@ -64,6 +64,8 @@ def test_a_run_that_is_joined_to_itself_has_not_lost_its_stamps():
 def test_stamps_in_another_unit_are_noted():
     (note,) = resolve([np.arange(10) * 2e8]).notes
     assert "scans are 2e+08 s apart: are the stamps in milliseconds or nanoseconds?" in note
+    assert len(resolve([np.arange(10) * 61.0]).notes) == 1
+    assert resolve([np.arange(10) * 59.0]).notes == ()
 
 
 def test_few_short_steps_back_are_raised_with_a_note():
@@ -75,6 +77,15 @@ def test_few_short_steps_back_are_raised_with_a_note():
     changed = np.flatnonzero(found.seconds != times)
     assert changed.tolist() == [51]
     assert "1 of 200 stamps go backwards, by up to 0.5 s" in found.notes[0]
+
+
+def test_a_step_back_of_more_than_a_second_is_no_difference_of_clocks():
+    times = 2.0 * np.arange(200.0)
+    times[51] = times[50] - 0.99
+    assert resolve([times]).seconds[51] == times[50]
+    times[51] = times[50] - 1.01
+    with pytest.raises(FormatError, match="run backwards"):
+        resolve([times])
 
 
 def test_stamps_that_run_backwards_name_line_and_values():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,6 +63,26 @@ def test_csv_columns_are_found_by_name(tmp_path, header, name):
 def test_csv_with_a_quaternion(tmp_path):
     track = read_trajectory(write(tmp_path, "timestamp,x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,1,0\n"))
     np.testing.assert_allclose(track.poses, [[2, 3, np.pi]])
+
+
+def test_csv_columns_of_the_map_go_together_and_plain_names_before_them(tmp_path):
+    both = "t,x,y,theta,map_x,map_y,map_theta\n1,2,3,0.5,7,8,0.9\n"
+    np.testing.assert_allclose(read_trajectory(write(tmp_path, both)).poses, [[2, 3, 0.5]])
+    mapped = "t,theta,map_x,map_y,map_theta\n1,0.5,7,8,0.9\n"
+    np.testing.assert_allclose(read_trajectory(write(tmp_path, mapped)).poses, [[7, 8, 0.9]])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_pose_may_be_tilted_by_twenty_degrees_about_either_axis(tmp_path, axis):
+    for degrees, is_tilted in ((19.9, False), (20.1, True)):
+        half, q = np.radians(degrees) / 2.0, np.zeros(4)
+        q[axis], q[3] = np.sin(half), np.cos(half)
+        path = write(tmp_path, "1 2 3 0 " + " ".join(map(str, q)) + "\n")
+        if is_tilted:
+            with pytest.raises(FormatError, match=r"the pose is tilted by 20\.1 degrees"):
+                read_trajectory(path)
+        else:
+            np.testing.assert_allclose(read_trajectory(path).poses, [[2, 3, 0]], atol=1e-12)
 
 
 def test_only_good_rows_are_used_and_scan_indices_are_kept(tmp_path):
@@ -134,6 +155,13 @@ def test_indexed_poses_of_another_log_are_refused(log):
         attach_poses(log, IndexedTrack(np.array([14.0]), np.zeros((1, 3)), np.array([8])))
     with pytest.raises(InvalidInputError, match=r"do not match the stamps of the log \(up to 0\.5 s"):
         attach_poses(log, IndexedTrack(np.array([10.0, 11.0, 11.5]), np.zeros((3, 3)), np.array([0, 1, 2])))
+
+
+def test_indexed_poses_go_to_scans_that_are_only_numbered(log):
+    sensor = log.only_sensor()
+    numbered = ScanLog({"scan": replace(sensor, stamps=np.arange(8.0))}, source="run.log")
+    track = IndexedTrack(np.array([50.0, 57.3]), np.array([[1.0, 0, 0], [2.0, 0, 0]]), np.array([2, 3]))
+    assert attach_poses(numbered, track).only_sensor().poses[2:4, 0].tolist() == [1.0, 2.0]
 
 
 def test_indexed_poses_on_a_log_of_several_sensors_are_interpolated(log):

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 
 from beamfield.detections import Detections
 from beamfield.errors import InvalidInputError
@@ -15,6 +16,7 @@ from beamfield.localization.recovery import (
     PosesFromLandmarks,
     PosesFromScan,
     Recovery,
+    reweigh,
 )
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.occupancy import OccupancyGrid
@@ -50,6 +52,28 @@ def test_the_share_has_a_bound_and_takes_no_harm_from_extremes():
     for _ in range(20):
         averages.add(-math.inf)
     assert averages.share == 0.25
+
+
+@pytest.mark.parametrize(("scale", "least_share"), [(8.0, 0.5), (200.0, 0.1), (1.0, 0.5), (8.0, 0.0)])
+def test_a_likelihood_is_flattened_until_a_share_of_the_effective_number_is_left(scale, least_share):
+    rng = np.random.default_rng(1)
+    before, log_likelihood = rng.dirichlet(np.full(500, 0.3)), scale * rng.normal(size=500)
+    out = np.empty(500)
+    log_mean, effective, power = reweigh(before, log_likelihood, least_share, out)
+    assert log_mean == pytest.approx(logsumexp(log_likelihood, b=before))
+    wanted = before * np.exp(power * (log_likelihood - log_likelihood.max()))
+    np.testing.assert_allclose(out, wanted / wanted.sum(), rtol=1e-9, atol=1e-300)
+    assert effective == pytest.approx(1.0 / np.square(out).sum())
+    share = effective * np.square(before).sum()
+    assert share >= least_share
+    assert power == 1.0 or (share == pytest.approx(least_share, rel=0.02) and power < 1.0)
+    assert (power < 1.0) is (scale > 1.0 and least_share > 0.0)
+
+
+def test_weights_are_left_alone_by_what_is_impossible_everywhere():
+    before, out = np.array([0.25, 0.75]), np.array([7.0, 8.0])
+    assert reweigh(before, np.full(2, -np.inf), 0.0, out)[0] == -np.inf
+    assert out.tolist() == [7.0, 8.0]
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +128,7 @@ def test_poses_from_landmarks_lie_on_the_ring_around_one_or_are_none(room):
         {"alpha_slow": 0.0},
         {"alpha_fast": 1.5},
         {"alpha_slow": 0.3, "alpha_fast": 0.2},
+        {"alpha_slow": 0.2, "alpha_fast": 0.2},
         {"readings": 0.0},
         {"most": 0.0},
     ],

@@ -51,23 +51,36 @@ def test_errors_of_a_run_by_hand():
     found = judge_replay(replay(poses), truth)
     assert found.mean == pytest.approx((5.0 + 0.5 + 0.1) / 4)
     assert found.median == pytest.approx(0.3)
+    assert found.p95 == pytest.approx(0.5 + 0.85 * 4.5)  # 0.95 of the three steps between 0, 0.1, 0.5 and 5
     assert found.end == pytest.approx(0.1)
     assert found.lost  # a quarter of the scans
     assert found.yaw_rmse_deg == pytest.approx(45.0)
-    assert found.yaw_mean_deg == pytest.approx(22.5)
+    assert (found.yaw_mean_deg, found.yaw_median_deg) == pytest.approx((22.5, 0.0))
+    assert found.yaw_p95_deg == pytest.approx(0.85 * 90.0)
     assert found.sd_position == pytest.approx(np.sqrt(0.06))
     assert (found.updates, found.particles, found.update_ms) == (4, 500.0, None)
     assert "LOST" in found.summary()
 
 
+@pytest.mark.parametrize(
+    ("scans", "off", "lost"), [([19], 1.99, False), ([19], 2.01, True), ([3, 9], 9.0, False), ([3, 9, 5], 2.01, True)]
+)
+def test_a_run_is_lost_that_ends_far_off_or_is_so_in_more_than_a_tenth_of_the_scans(scans, off, lost):
+    poses = np.zeros((20, 3))
+    poses[scans, 1] = off
+    assert judge_replay(replay(poses), np.zeros((20, 3))).lost is lost
+
+
 def test_scans_without_reference_or_pose_do_not_count():
     truth = np.array([[9.0, 9.0, 0.0], [np.nan] * 3, [0.0, 0.0, 0.0]])
     poses = np.array([[np.nan] * 3, [5.0, 5.0, 0.0], [0.1, 0.0, 0.0]])
-    run = Replay(poses, np.array([1, 2]), np.zeros((2, 3)), np.tile(COVARIANCE, (2, 1, 1)), np.array([10, 20]))
+    means = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]])
+    covariances = np.array([0.01 * np.eye(3), 0.04 * np.eye(3)])
+    run = Replay(poses, np.array([1, 2]), means, covariances, np.array([10, 20]), np.array([0.002, 0.006]))
     found = judge_replay(run, truth)
     assert found.mean == pytest.approx(0.1)
-    assert found.nees_median == pytest.approx(0.0)
-    assert found.updates == 2
+    assert found.nees_median == pytest.approx(1.0)
+    assert (found.updates, found.particles, found.update_ms) == (2, 15.0, 4.0)
 
 
 def test_squares_are_those_of_the_inverse(rng):
@@ -90,7 +103,7 @@ def test_a_right_covariance_has_the_ideal_nees_and_coverage(rng):
 
 def test_particles_at_one_point_give_finite_numbers():
     found = judge_replay(replay(np.zeros((1, 3)), covariance=np.zeros((3, 3))), np.full((1, 3), 0.1))
-    assert np.isfinite(found.nees_median)
+    assert found.nees_median == pytest.approx(3 * 0.1**2 / 1e-12)  # as of a variance of (1 um)^2 or (1 urad)^2
     assert found.inside == 0.0
 
 
@@ -104,12 +117,15 @@ def test_a_run_without_anything_to_judge_is_refused():
 def test_malformed_runs_and_beliefs_are_refused():
     with pytest.raises(InvalidInputError, match="means: expected shape"):
         Replay(np.zeros((2, 3)), np.array([0]), np.zeros((2, 3)), np.zeros((1, 3, 3)), np.array([1]))
-    with pytest.raises(InvalidInputError, match="updates: expected increasing"):
-        Replay(np.zeros((2, 3)), np.array([2]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.array([1]))
+    for updates in ([2], [-1], [1, 0], [1, 1]):
+        u = len(updates)
+        with pytest.raises(InvalidInputError, match="updates: expected increasing"):
+            Replay(np.zeros((2, 3)), np.array(updates), np.zeros((u, 3)), np.zeros((u, 3, 3)), np.ones(u, np.int64))
     with pytest.raises(InvalidInputError, match="covariances: expected finite"):
         Replay(np.zeros((2, 3)), np.array([0]), np.zeros((1, 3)), np.full((1, 3, 3), np.nan), np.array([1]))
-    with pytest.raises(InvalidInputError, match="covariance: expected a covariance matrix"):
-        PoseBelief(np.zeros(3), -np.eye(3))
+    for matrix in (-np.eye(3), np.diag([1.0, 1.0, -1e-6]), np.eye(3) + np.eye(3, k=1)):
+        with pytest.raises(InvalidInputError, match="covariance: expected a covariance matrix"):
+            PoseBelief(np.zeros(3), matrix)
     with pytest.raises(InvalidInputError, match="pose: expected finite"):
         PoseBelief.around([np.nan, 0.0, 0.0])
 

@@ -11,6 +11,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNo
 from beamfield.geometry import between, chained, compose, wrap_angle
 from beamfield.localization.course_choice import MOST_COST
 from beamfield.localization.trajectory import TrajectoryFit, find_course, fit_course, fit_trajectory
+from beamfield.localization.trajectory_trust import time_gaps
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_parameters import BeamParameters
@@ -131,6 +132,26 @@ def test_a_reset_and_missing_odometry_are_bridged_and_said(drive: SensorLog, off
     # Where odometry has ended, the robot may drive on.
     assert fit.trusted[3:48].all()
     assert not fit.trusted[90:].any()
+
+
+def test_distances_that_are_wrong_by_a_scale_are_named(drive: SensorLog, office: OccupancyGrid):
+    log = drive.select(np.arange(100))
+    steps = between(log.odometry[:-1], log.odometry[1:]) * [1.1, 1.1, 1.0]
+    fit = fit_trajectory(replace(log, odometry=chained(np.zeros(3), steps)), office, start=log.poses[0])
+    (finding,) = [one for one in fit.findings if one.name == "odometry-scale"]
+    assert finding.values["scale"] == pytest.approx(1.0 / 1.1 - 1.0, abs=0.03)
+    assert distances(fit, log).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("step", "gap", "is_named"), [(0.1, 4.9, False), (0.1, 5.1, True), (0.5, 9.9, False), (0.5, 10.1, True)]
+)
+def test_a_gap_in_time_is_longer_than_five_seconds_and_twenty_steps(step, gap, is_named):
+    since = np.r_[0.0, np.cumsum([step] * 10 + [gap] + [step] * 10)]
+    found = list(time_gaps(1.7e9 + since))
+    assert len(found) == is_named
+    said = f"There is no scan for up to {gap:.1f} s, {10 * step:.1f} s after the first scan; odometry bridges it."
+    assert all((one.name, one.text) == ("time-gap", said) for one in found)
 
 
 def test_without_odometry_scans_are_aligned_in_its_place(drive: SensorLog, office: OccupancyGrid):

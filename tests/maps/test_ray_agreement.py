@@ -1,4 +1,4 @@
-"""How scans agree with a map along their beams."""
+"""Scans compared with the map along their beams, counted by hand."""
 
 from __future__ import annotations
 
@@ -6,23 +6,50 @@ import numpy as np
 import pytest
 
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.ray_agreement import scan_agreement
+from beamfield.maps.ray_agreement import ray_agreement, scan_agreement
 from beamfield.sensors import RangeFinder, SensorLog
 
-FINDER = RangeFinder.from_bearings(np.radians(np.linspace(-180.0, 150.0, 12)), max_range=5.0)
+# Four walls, 5 m from the robot in the middle.
+FINDER = RangeFinder.from_bearings(np.radians([0.0, 90.0, 180.0, -90.0]), 8.0)
+MIDDLE = np.zeros((1, 3))
 
 
-def agreement(ranges: list[float], pose: tuple[float, float, float]) -> float:
-    """Return that of one scan in a hall of 20 by 20 metres with a wall along its left side."""
-    cells = np.zeros((200, 200), np.float32)
-    cells[:, 0] = 1.0
-    at = np.array([pose])
-    log = SensorLog(finder=FINDER, stamps=np.zeros(1), ranges=np.array([ranges]), poses=at, odometry=at)
-    return float(scan_agreement(log, OccupancyGrid(cells, 0.1), at)[0])
+def room(resolution: float, half: float = 5.0) -> OccupancyGrid:
+    n = round(2.0 * half / resolution) + 2
+    cells = np.zeros((n, n))
+    cells[[0, -1]] = cells[:, [0, -1]] = 1.0
+    corner = -half - resolution
+    return OccupancyGrid(cells, resolution, (corner, corner, 0.0))
 
 
-# From 1.1 m off the wall, whose face is at 0.1 m, five beams reach it: 1, 1.15 and 2 m long.
-WALL = {0: 1.0, 1: 1.0 / np.cos(np.radians(30)), 11: 1.0 / np.cos(np.radians(30)), 2: 2.0, 10: 2.0}
+def log_of(ranges: list[float]) -> SensorLog:
+    return SensorLog(FINDER, np.zeros(1), np.array([ranges]), MIDDLE, MIDDLE)
+
+
+# 0.25 m, or three cells, and 2% of 5 m.
+@pytest.mark.parametrize(("resolution", "tolerance"), [(0.05, 0.35), (0.1, 0.4), (0.2, 0.7)])
+def test_a_reading_agrees_within_a_length_and_a_share_of_it(resolution, tolerance):
+    less, more = tolerance - 0.01, tolerance + 0.01
+    shares = scan_agreement(log_of([5.0 + less, 5.0 - less, 5.0 + more, 5.0 - more]), room(resolution), MIDDLE)
+    assert shares.tolist() == [0.5]
+    found = ray_agreement(log_of([5.0 + less, 5.0 + more, np.inf, 5.0 - more]), room(resolution), MIDDLE, np.array([0]))
+    assert found == (0.25, 0.5)
+
+
+def test_beams_count_that_should_hit_something():
+    grid = room(0.05)
+    assert scan_agreement(log_of([5.0, np.inf, np.nan, np.nan]), grid, MIDDLE).tolist() == [0.5]
+    assert np.isnan(scan_agreement(log_of([np.nan] * 4), grid, MIDDLE)).all()
+    far = room(0.05, half=9.0)
+    assert scan_agreement(log_of([7.9, 6.0, np.inf, 3.0]), far, MIDDLE).tolist() == [0.0]
+    assert np.isnan(scan_agreement(log_of([np.inf] * 4), far, MIDDLE)).all()
+    assert ray_agreement(log_of([7.9, 6.0, np.inf, 3.0]), far, MIDDLE, np.array([0])) == (0.0, 1.0)
+
+
+# From 1.1 m off a wall, whose face is at 0.1 m, five of twelve beams reach it: 1, 1.15 and 2 m long.
+FAN = RangeFinder.from_bearings(np.radians(np.linspace(-180.0, 150.0, 12)), 5.0)
+OBLIQUE = 1.0 / np.cos(np.radians(30.0))
+WALL = {0: 1.0, 1: OBLIQUE, 11: OBLIQUE, 2: 2.0, 10: 2.0}
 
 
 @pytest.mark.parametrize(
@@ -31,16 +58,14 @@ WALL = {0: 1.0, 1: 1.0 / np.cos(np.radians(30)), 11: 1.0 / np.cos(np.radians(30)
         ({}, 1.0),
         ({0: 0.4}, 4 / 5),
         ({0: 5.0}, 4 / 5),
-        # Somebody stands where nothing is expected: of six readings, three quarters of them have to be.
+        # Somebody stands where nothing is expected: three quarters of the readings have to be.
         ({6: 2.0}, 1.0),
         ({6: 2.0, 7: 2.0, 5: 2.0}, 5 / 6),
     ],
 )
-def test_shares_of_beams_that_meet_a_wall(changed, expected):
-    ranges = [{**WALL, **changed}.get(i, 5.0) for i in range(12)]
-    assert agreement(ranges, (1.1, 10.05, 0.0)) == pytest.approx(expected)
-
-
-def test_walls_where_none_should_be_disagree_and_an_empty_scan_says_nothing():
-    assert agreement([2.0] * 12, (10.0, 10.05, 0.0)) == 0.0
-    assert np.isnan(agreement([5.0] * 12, (10.0, 10.05, 0.0)))
+def test_readings_where_nothing_is_count_beyond_a_quarter(changed, expected):
+    cells = np.zeros((200, 200))
+    cells[:, 0] = 1.0
+    at = np.array([[1.1, 10.05, 0.0]])
+    log = SensorLog(FAN, np.zeros(1), np.array([[{**WALL, **changed}.get(i, 5.0) for i in range(12)]]), at, at)
+    assert scan_agreement(log, OccupancyGrid(cells, 0.1), at)[0] == pytest.approx(expected)

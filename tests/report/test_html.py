@@ -290,8 +290,8 @@ def test_a_noise_that_the_log_hardly_determines_is_called_so(case):
         intervals = replace(case.calibration.intervals, intervals={"sigma_hit": interval})
         return Page(render(case, intervals=intervals)).text
 
-    assert "[0.001, 1.079], hardly determined by this log." in verdict_with((0.001, 1.079))
-    assert "hardly determined" not in verdict_with((0.04, 0.06))
+    assert "[0.050, 0.510], hardly determined by this log." in verdict_with((0.05, 0.51))
+    assert "hardly determined" not in verdict_with((0.05, 0.49))
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -66,7 +66,14 @@ def test_noise_that_grows_is_spelt_out_at_some_ranges(case):
     assert "0.051, 0.058 m at 1, 3 m:" in row(short, "sigma_hit").meaning
 
 
-@pytest.mark.parametrize("name", DOUBTS)
+# Without one of these, values of a wrong map or of wrong poses would be written into the robot's file.
+DOUBTFUL = (
+    "map-says-nothing", "map-disagrees", "hits-anywhere", "map-scale", "poses-off-map", "reference-stands-still",
+    "reference-slides", "few-poses-trusted", "field-says-nothing",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DOUBTFUL)
 def test_the_verdict_does_not_praise_a_fit_to_poses_or_a_map_that_cannot_be_trusted(case, name):
     doubtful = replace(
         case.calibration, findings=(Finding(name, "warning", "..."), Finding("few-blocks", "warning", ""))
@@ -75,6 +82,11 @@ def test_the_verdict_does_not_praise_a_fit_to_poses_or_a_map_that_cannot_be_trus
         f"Do not use these values yet: {DOUBTS[name]}. Read the 2 warnings before you trust it."
     )
     assert verdict_level(doubtful) == "bad"
+
+
+def test_a_field_that_says_nothing_of_cones_is_no_reason_to_doubt_their_beam_model(case):
+    both = (Finding("cones", "info", ""), Finding("field-says-nothing", "warning", ""))
+    assert verdict_level(replace(case.calibration, findings=both)) == "care"
 
 
 def test_the_level_of_the_verdict_is_that_of_its_worst_reason(case):

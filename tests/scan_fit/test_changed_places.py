@@ -157,8 +157,11 @@ def test_maps_and_poses_that_move_together_change_nothing(changed):
 
 def test_one_visit_is_too_few():
     found = find_changed_places(drive(WORLD, 20.0), MAP, MODEL, block_s=20.0)
-    assert found.lasting == ()
+    assert found.lasting == found.findings == ()
     assert {place.reading for place in found.of_kind("undecided")} >= {"short", "beyond"}
+    (short,) = find_changed_places(drive(WORLD, 20.0), MAP, MODEL, block_s=18.9).findings
+    assert (short.name, short.values["visit_s"], short.values["n_visits"]) == ("short-visits", 18.9, 2.0)
+    assert "Record 4 minutes or more" in short.do
     assert all(place.interval == (0.0, 1.0) for place in found.places)
 
 

@@ -137,9 +137,11 @@ def test_the_sensors_limit_decides_what_z_rand_means(params):
 
 
 def test_beam_models_are_translated_with_the_reasons_why_not_exactly(params):
-    file = params("nav2", laser_model_type="beam", laser_max_range=10.0)
+    file = params("nav2", laser_model_type="beam", laser_max_range=10.0, max_beams=37, lambda_short=0.3)
     result = translate(file, "beluga")
     assert not result.exact
+    same = {"laser_max_range": 10.0, "max_beams": 37, "lambda_short": 0.3, "sigma_hit": 0.2}
+    assert {name: result.values[name] for name in same} == same
     assert sum(result.values[name] for name in ("z_hit", "z_short", "z_max", "z_rand")) == pytest.approx(1.0)
     # The peak of a hit against the random floor stays.
     peak = result.values["z_hit"] / (np.sqrt(2 * np.pi) * 0.2)

@@ -304,6 +304,22 @@ def test_sharpness_counts_the_beams_that_a_step_leaves(tmp_path):
     assert effective(1) < effective(30)
 
 
+# Numbers that a finding says and that follow from the case.
+SAID = {
+    "half-cell-shift": ("sees every wall 0.025 m too low", "with 0.025 m added"),
+    "map-yaw-ignored": ("a yaw of 5.73 degrees",),
+    "range-limit-above-sensor": ("score 10.0 times too little",),
+}
+
+
+@pytest.mark.parametrize("case", SAID)
+def test_a_finding_says_its_numbers(tmp_path, case):
+    sick, others, _, _ = FINDINGS[case]
+    (found,) = [item for item in examine(amcl(tmp_path, **sick), **others) if item.name == case]
+    for words in SAID[case]:
+        assert words in f"{found.text} {found.why} {found.do}"
+
+
 @pytest.mark.parametrize("case", FINDINGS)
 def test_a_finding_comes_where_it_is_due_and_not_elsewhere(tmp_path, case):
     name = case.split()[0]

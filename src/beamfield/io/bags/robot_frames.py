@@ -303,7 +303,7 @@ def _reference_topic(content: BagContent, topic: PoseTopicCollector, base: str, 
     if len(topic) == 0:
         raise FormatError(content.path, "the topic holds no poses", field=topic.topic)
     track = in_base_frame(topic.track(notes), _child_from_base(content, topic, base, notes))
-    odometry_at = odometry.at if odometry.track is not None and odometry.track is not track else None
+    odometry_at = None if odometry.track is None else odometry.at
     bridged = poses_at(track, track.stamps[:1], MAX_GAP, odometry_at)[1]
     notes.append(
         f"reference poses: topic {topic.topic} in frame {topic.frame!r}"

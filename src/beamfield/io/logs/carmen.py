@@ -11,7 +11,7 @@ from beamfield.geometry import FloatArray, between, compose, interpolate_poses, 
 from beamfield.io.logs.carmen_laser import bearings, declared_max, declared_mount, ring_and_cone
 from beamfield.io.logs.carmen_messages import CarmenMessages, read_carmen_messages
 from beamfield.io.logs.carmen_writer import write_carmen
-from beamfield.io.logs.text_scans import DEFAULTS, LonePoses, TextOptions, TextScans
+from beamfield.io.logs.text_scans import DEFAULTS, LonePoses, TextOptions, TextScans, middle_mount
 from beamfield.sensors import ScanLog, SensorLog, Track
 
 __all__ = ["read_carmen", "write_carmen"]
@@ -134,13 +134,12 @@ def _place(
     seen = between(robot, laser)
     if name.startswith("ROBOTLASER"):
         scans.constant_mount(seen, CONSTANT)
-    typical = np.median(seen, axis=0)
+    typical = middle_mount(seen)
     if np.abs(between(typical, seen)).max() > CONSTANT:
         _note_mount(name, mount, notes)
         return _Placed(mount, compose(laser, invert(mount)), robot)
     # One trajectory. Equal poses are the laser's, as the mount says; else the second one is the robot's.
-    equal = bool(np.abs(typical).max() < 1e-9)
-    if equal and not name.startswith("ROBOTLASER"):
+    if np.abs(typical).max() < 1e-9:
         poses = compose(laser, invert(mount))
     else:
         mount, poses = typical.round(6), robot

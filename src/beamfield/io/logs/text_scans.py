@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, between, wrapped
+from beamfield.geometry import FloatArray, as_poses, between, compose, wrapped
 from beamfield.io.files.text_lines import Line
 from beamfield.io.logs.scan_stamps import ScanStamps, StampRule, resolve_stamps
 from beamfield.io.no_return import NoReturnRule, resolve_no_return
@@ -133,7 +133,7 @@ class TextScans:
         FormatError
             If one is further away; line and poses are named.
         """
-        mount: FloatArray = np.median(mounts, axis=0)
+        mount = middle_mount(mounts)
         off = np.abs(between(mount, mounts)).max(axis=1)
         if off.max() > tolerance:
             worst = int(np.argmax(off))
@@ -217,6 +217,12 @@ class TextScans:
             as_poses(mounts), resolved.max_range, min_range=low, opening_angle=opening_angle, name=self.name
         )
         return SensorLog(finder, time.seconds, z, reference, driven, resolved.policy), notes
+
+
+def middle_mount(mounts: FloatArray) -> FloatArray:
+    """Return the median (3,) of mounts (t, 3)."""
+    # Seen from the first: headings of a sensor at the rear are rounded to pi or to nearly -pi.
+    return compose(mounts[0], np.median(between(mounts[0], mounts), axis=0))
 
 
 def finite_pose(line: Line, pose: FloatArray, field: str | None = None) -> FloatArray:

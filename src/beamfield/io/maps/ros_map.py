@@ -97,8 +97,8 @@ def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
     rule = read_rule(yaml)
     if rule.mode == "raw" or rule.p[UNKNOWN_GREY] > rule.free:
         return []
-    counts = _grey_counts(MapImage(read_map_image(_image_path(yaml)).grey))
-    share = float(counts[UNKNOWN_GREY] / counts.sum())
+    image = read_map_image(_image_path(yaml))
+    share = float(_grey_counts(image)[UNKNOWN_GREY] / image.grey.size)
     if share == 0.0:
         return []
     note = (

@@ -27,9 +27,9 @@ THROUGH_COST = 6.0
 # buildings (at least 5.2) of the logs that docs/evidence/trajectory.md lists.
 MOST_COST = 4.6
 # One that costs more is right all the same if it has no jumps, fits more of the beams than any, and this share of them,
-# and costs so much less than any other without jumps: at most 1.2 in maps of other buildings, 2.8 and more in the
-# right map where many readings are short, random, or of what the map does not show.
-LEAST_AGREEMENT, STANDS_OUT = 0.45, 2.5
+# costs so much less than any other without jumps (at most 1.8 in maps of other buildings, 2.8 and more in the right one
+# where many readings are short, random, or of what the map does not show), and no more than this beyond any with jumps.
+LEAST_AGREEMENT, STANDS_OUT, MOST_BEYOND = 0.45, 2.5, 1.0
 # A start that is given is believed against a worse fit.
 MOST_COST_FROM_START = 9.0
 # Two courses whose costs differ by less, in nats, are equally likely.
@@ -141,12 +141,13 @@ def choose_course(
 def _standing_out(judged: list[Judged]) -> list[Judged]:
     """Return the courses without jumps if the first is beyond doubt though its readings fit the map poorly, or none."""
     best, *others = sorted(judged, key=lambda pair: len(pair[1].jumps) > 0)
-    costs = [one.cost for one, course in others if not len(course.jumps)]
-    most = max((one.agrees for one, _ in others), default=0.0)
+    jumping = [one for one, course in others if len(course.jumps)]
+    steady = [one for one, course in others if not len(course.jumps)]
     undoubted = (
         not len(best[1].jumps)
-        and best[0].agrees >= max(LEAST_AGREEMENT, most)
-        and best[0].cost + STANDS_OUT <= min(costs, default=-np.inf)
+        and best[0].agrees >= max([LEAST_AGREEMENT, *(one.agrees for one, _ in others)])
+        and best[0].cost + STANDS_OUT <= min((one.cost for one in steady), default=-np.inf)
+        and best[0].cost - MOST_BEYOND <= min((one.cost for one in jumping), default=np.inf)
     )
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
 

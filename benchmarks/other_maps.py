@@ -5,7 +5,9 @@ the map of "changed" cases lacks half of the small things and has boxes that the
 refused and a filter that says that the robot is lost are "refused"; what is taken for right though it is more than
 half a metre off in the median is "wrong".
 
-Run: python benchmarks/other_maps.py [FOLDER [SEEDS]]     (../shared/data, 3)
+With "elsewhere", each drive is fitted to the maps of the five other buildings instead, which is to be refused.
+
+Run: python benchmarks/other_maps.py [FOLDER [SEEDS [elsewhere]]]     (../shared/data, 3)
 """
 
 from __future__ import annotations
@@ -63,6 +65,20 @@ def main(folder: Path, seeds: int) -> None:
         print()
 
 
+def elsewhere(folder: Path, seeds: int) -> None:
+    """Print how many drives are fitted to maps of other buildings."""
+    grids = {name: read_map(next((folder / "ros_maps" / name).glob("*.yaml"))) for name in MAPS}
+    rows = []
+    for sensor in SENSORS:
+        fits = [
+            fitted(drive(grids[name], sensor, seed), grids[other])
+            for name in MAPS for seed in range(1, seeds + 1) for other in MAPS if other != name
+        ]  # fmt: skip
+        rows.append({"sensor": sensor, "fits": len(fits), "refused": sum(fit is None for fit in fits)})
+        print(rows[-1], file=sys.stderr, flush=True)
+    print_table(rows)
+
+
 def drive(grid: OccupancyGrid, sensor: str, seed: int) -> SensorLog:
     """Return a log with exact poses, and odometry."""
     (first, last, n), max_range, truth = SENSORS[sensor]
@@ -90,15 +106,21 @@ def changed_map(grid: OccupancyGrid, seed: int) -> OccupancyGrid:
 
 def outcomes(log: SensorLog, grid: OccupancyGrid) -> dict[str, str]:
     """Return what becomes of a log in a map: of a fit, and of the filter."""
-    try:
-        fit = outcome(fit_trajectory(log, grid).poses, log)
-    except BeamfieldError:
-        fit = "refused"
+    poses = fitted(log, grid)
+    fit = "refused" if poses is None else outcome(poses, log)
     found = localizer_of("likelihood field", grid).run(log, None, np.random.default_rng(0))
     names = {one.name for one in found.findings}
     since = len(log) // 2
     lost = "not-found" in names or find_lost_robot(log[since:], grid, found.poses[since:]) is not None
     return {"fit": fit, "filter": "refused" if lost else outcome(found.poses[since:], log[since:])}
+
+
+def fitted(log: SensorLog, grid: OccupancyGrid) -> FloatArray | None:
+    """Return the fitted poses; None if the fit is refused."""
+    try:
+        return fit_trajectory(log, grid).poses
+    except BeamfieldError:
+        return None
 
 
 def outcome(poses: FloatArray, log: SensorLog) -> str:
@@ -116,5 +138,6 @@ def counts(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[2] / "shared" / "data",
-         int(sys.argv[2]) if len(sys.argv) > 2 else 3)  # fmt: skip
+    run = elsewhere if "elsewhere" in sys.argv else main
+    run(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[2] / "shared" / "data",
+        int(sys.argv[2]) if len(sys.argv) > 2 else 3)  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.stacks.beluga.filter import BelugaFilterParameters
 from beamfield.stacks.files.filter_file import read_filter_settings
-from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file, write_values
+from beamfield.stacks.files.parameter_file import ParameterSection, check_patch_target, read_stack_file, write_values
 from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.syntax.parameter_text import plain_value
@@ -240,6 +240,36 @@ def test_a_change_that_would_reach_further_is_not_made(write):
         write_values(read_stack_file(path).section, {"z_hit": 0.6})
     assert path.read_bytes() == before
     assert [file.name for file in path.parent.iterdir()] == ["params.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("written", "is_good"),
+    [
+        ("z_hit: 0.6\nz_rand: 0.5\nmax_beams: 1\n", True),
+        ("z_hit: 0.600001\nz_rand: 0.5\nmax_beams: 1\n", True),
+        ("z_hit: 0.6001\nz_rand: 0.5\nmax_beams: 1\n", False),
+        ("z_hit: 0.6\nz_rand: 0.51\nmax_beams: 1\n", False),
+        ("z_hit: 0.6\nz_rand: 0.5\nmax_beams: '1'\n", False),
+        ("z_hit: 0.6\nz_rand: 0.5\nmax_beams: true\n", False),
+        ("z_hit: 0.6\nz_rand: 0.5\n", False),
+        ("z_hit: 0.6\nz_rand: 0.5\nmax_beams: 1\nalpha1: 0.2\n", False),
+        ("z_hit: 0.6\nz_rand: 0.5\nmax_beams: 1\nz_hit: 0.6\n", False),
+        ("z_hit: [0.6\n", False),
+    ],
+    ids=["as asked", "six digits", "another value", "an old one changed", "text", "truth", "one lost", "one more",
+         "twice", "no YAML"],
+)  # fmt: skip
+def test_what_was_written_is_read_before_it_takes_the_files_place(write, monkeypatch, written, is_good):
+    path = write("z_hit: 0.5\nz_rand: 0.5\nmax_beams: 1\n")
+    before, section = path.read_bytes(), read_stack_file(path).section
+    monkeypatch.setattr(ParameterSection, "with_values", lambda *_: written)
+    if is_good:
+        write_values(section, {"z_hit": 0.6})
+        assert path.read_text() == written
+        return
+    with pytest.raises(FormatError, match="the file is unchanged"):
+        write_values(section, {"z_hit": 0.6})
+    assert path.read_bytes() == before
 
 
 def test_a_link_stays_a_link(write, tmp_path):

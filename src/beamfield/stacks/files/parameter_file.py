@@ -278,8 +278,8 @@ def _same(found: Value | None, expected: Value | None) -> bool:
     if isinstance(found, float) and isinstance(expected, float):
         # Files have six digits. NaN, which only old values can be, stays NaN.
         return math.isclose(found, expected, rel_tol=1e-5) or (math.isnan(found) and math.isnan(expected))
-    numbers = isinstance(found, (int, float)) and isinstance(expected, (int, float))
-    return found == expected and (numbers or type(found) is type(expected))
+    # True is not 1 to the programs.
+    return found == expected and isinstance(found, bool) == isinstance(expected, bool)
 
 
 def _has_other_names(stack: Stack, node: OtherNode, section: ParameterSection) -> bool:

@@ -16,7 +16,7 @@ from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive, mirrored, with_points
 from beamfield.localization.trajectory_start import Course, cheapest_course, follow_hypotheses, other_courses
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.ray_agreement import ray_agreement
+from beamfield.maps.ray_agreement import LEAST_AGREEMENT, ray_agreement
 from beamfield.sensors import SensorLog
 
 Progress = Callable[[str, int, int], None]
@@ -26,10 +26,10 @@ THROUGH_COST = 6.0
 # Nats per scan beyond which a course is none: between those in the right map (at most 3.9) and in the maps of other
 # buildings (at least 5.2) of the logs that docs/evidence/trajectory.md lists.
 MOST_COST = 4.6
-# One that costs more is right all the same if it has no jumps, fits more of the beams than any, and this share of them,
+# One that costs more is right all the same if it has no jumps, agrees with the map more than any other, and enough,
 # costs so much less than any other without jumps (at most 1.8 in maps of other buildings, 2.8 and more in the right one
 # where many readings are short, random, or of what the map does not show), and no more than this beyond any with jumps.
-LEAST_AGREEMENT, STANDS_OUT, MOST_BEYOND = 0.45, 2.5, 1.0
+STANDS_OUT, MOST_BEYOND = 2.5, 1.0
 # A start that is given is believed against a worse fit.
 MOST_COST_FROM_START = 9.0
 # Two courses whose costs differ by less, in nats, are equally likely.

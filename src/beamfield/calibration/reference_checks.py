@@ -18,7 +18,7 @@ from beamfield.sensors import SensorLog
 # Windows of odometry that the reference is compared with (seconds), and the least motion that can be judged (metres).
 WINDOW_S = 5.0
 LEAST_MOTION = 0.5
-# From this share of scans that disagree with the map, part of it is wrong: at most 0.18 on 16 real logs (0.29 on a
+# From this share of scans that disagree with the map, part of it is wrong: at most 0.13 on 16 real logs (0.26 on a
 # campus), 0.23 to 0.56 in offices of the same plan that are divided otherwise.
 MANY_SCANS = 0.25
 # Scans decide between two poses if the share of their readings that agree with the map differs by more than this. Where

@@ -9,8 +9,10 @@ import pytest
 
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 from beamfield.geometry import between, chained, compose, wrap_angle
-from beamfield.localization.course_choice import MOST_COST
+from beamfield.localization.course_choice import MOST_COST, without_false_jumps
+from beamfield.localization.drive import prepare
 from beamfield.localization.trajectory import TrajectoryFit, find_course, fit_course, fit_trajectory
+from beamfield.localization.trajectory_start import Followed, cheapest_course
 from beamfield.localization.trajectory_trust import time_gaps
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -54,8 +56,42 @@ def test_a_course_that_stands_out_is_taken_though_most_readings_are_of_people(of
     crowd = BeamParameters(0.60, 0.25, 0.05, 0.10, sigma_hit=0.05, lambda_short=0.5)
     log = simulate_log(office, finder, crowd, duration=40.0, scan_rate=4.0, seed=3).only_sensor()
     found = find_course(log, office)
-    assert found.hypotheses[0].cost > MOST_COST
+    assert found.hypotheses[0].misfit > MOST_COST
     assert distances(fit_course(log, office, found), log).mean() < 0.05
+
+
+def hall_log(side: float, n_racks: int, seed: int) -> tuple[SensorLog, OccupancyGrid]:
+    """Return a drive between thin racks, most readings short or random, and the map."""
+    rng, rows = np.random.default_rng(seed), int(side / 0.05)
+    cells = np.pad(np.zeros((rows - 4, rows - 4), np.float32), 2, constant_values=1.0)
+    for x, y in rng.uniform(1.0, side - 1.0, (n_racks, 2)):
+        row, col, half = int(y / 0.05), int(x / 0.05), int(rng.integers(2, 6))
+        cells[row - half : row + half, col - 1 : col + 1] = 1.0
+    grid = OccupancyGrid(cells, 0.05, (0.0, 0.0, 0.0))
+    finder = RangeFinder.from_bearings(np.radians(np.linspace(-90.0, 90.0, 60)), max_range=6.0)
+    crowd = BeamParameters(0.62, 0.25, 0.05, 0.08, sigma_hit=0.04, lambda_short=0.5)
+    return simulate_log(grid, finder, crowd, duration=60.0, scan_rate=4.0, seed=seed).only_sensor(), grid
+
+
+def test_many_small_things_do_not_draw_the_poses_from_one_to_the_next():
+    log, grid = hall_log(16.0, 60, seed=2)
+    assert distances(fit_trajectory(log, grid), log).max() < 0.1
+
+
+def test_a_start_that_is_given_is_believed_though_readings_fit_poorly():
+    log, grid = hall_log(20.0, 120, seed=1)
+    assert distances(fit_trajectory(log, grid, start=log.poses[0] + [0.5, -0.4, 0.1]), log).max() < 0.1
+
+
+def test_end_points_alone_carry_a_robot_nowhere(drive: SensorLog, office: OccupancyGrid):
+    kept = prepare(drive, drive.odometry)
+    truth, n = drive.poses[kept.scans], len(kept.scans)
+    late = np.arange(n) >= n - 60
+    there = Followed(0, truth, np.where(late, 9.0, 2.0))
+    elsewhere = Followed(0, truth + np.array([8.0, 0.0, 0.0]), np.where(late, 1.0, 20.0))
+    course = cheapest_course(kept, [there, elsewhere], None)
+    assert len(course.jumps) == 1
+    assert not len(without_false_jumps(drive, office, kept, [there, elsewhere], course, None).jumps)
 
 
 def test_a_robot_that_was_carried_is_found_again_and_the_time_named(drive: SensorLog, office: OccupancyGrid):

@@ -188,9 +188,9 @@ def step_variances(x: float, y: float, heading: float, noise: StepNoise, out: Fl
 
 
 @kernel
-def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: HitNoise, step_noise: StepNoise,
-          independent: float, start: int, direction: int, poses: Floats, covariance: Floats, costs: Floats
-          ) -> None:  # fmt: skip
+def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: HitNoise, judged: HitNoise,
+          step_noise: StepNoise, independent: float, start: int, direction: int, poses: Floats, covariance: Floats,
+          costs: Floats) -> None:  # fmt: skip
     """Follow a pose through a log: odometry's step, then a correction towards the walls, as an extended Kalman filter.
 
     Parameters
@@ -201,6 +201,8 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
         (n - 1, 3) odometry from each scan to the next, in the frame of the first of them.
     walls, noise, step_noise
         The map, and how wrong both sensors are.
+    judged
+        How wrong end points are for the costs.
     independent
         How many independent end points a scan is worth.
     start
@@ -243,7 +245,8 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
                 moved += abs(move)
             if moved < 1e-4:
                 break
-        costs[i] = share * sum_scan(ends, pose, walls, noise, gradient, information)
+        costs[i] = share * sum_scan(ends, pose, walls, judged, gradient, information)
+        sum_scan(ends, pose, walls, noise, gradient, information)
         _add_prior(share, prior, information)
         for j in range(3):
             difference[j] = pose[j] - predicted[j]

@@ -14,23 +14,33 @@ from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, chained, wrap_angle
 from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive, mirrored, with_points
-from beamfield.localization.trajectory_start import Course, cheapest_course, follow_hypotheses, other_courses
+from beamfield.localization.trajectory_start import (
+    Course,
+    Followed,
+    cheapest_course,
+    course_through,
+    follow_hypotheses,
+    is_at,
+    other_courses,
+)  # fmt: skip
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.ray_agreement import LEAST_AGREEMENT, ray_agreement
 from beamfield.sensors import SensorLog
 
 Progress = Callable[[str, int, int], None]
 
-# Nats that a scan costs if all of its beams pass walls.
-THROUGH_COST = 6.0
-# Nats per scan beyond which a course is none: between those in the right map (at most 3.9) and in the maps of other
-# buildings (at least 5.2) of the logs that docs/evidence/trajectory.md lists.
+# So many beams pass walls in the right place, too: glass, and walls that are grazed. Nats that more cost, per scan, and
+# how much these speak against a map: they tell buildings apart, but not two places in one.
+USUAL_THROUGH, MORE_THROUGH, THROUGH = 0.4, 10.0, 6.0
+# Nats per scan beyond which a course is none: between those in the right map (at most 4.0) and in the maps of other
+# buildings (at least 4.7) of the logs that docs/evidence/trajectory.md lists.
 MOST_COST = 4.6
-# One that costs more is right all the same if it has no jumps, agrees with the map more than any other, and enough,
-# costs so much less than any other without jumps (at most 1.8 in maps of other buildings, 2.8 and more in the right one
-# where many readings are short, random, or of what the map does not show), and no more than this beyond any with jumps.
-STANDS_OUT, MOST_BEYOND = 2.5, 1.0
-# A start that is given is believed against a worse fit.
+# One that costs more is right all the same if it has no jumps, enough of its beams agree with the map, more than on any
+# other course (in maps of other buildings by at most 0.04, in the right one by 0.12 and more where many readings are
+# short, random, or of what the map does not show), and it costs less than any other without jumps (by at most 0.7, and
+# 1.0 and more), and no more than this beyond any with jumps.
+AGREES_MORE, COSTS_LESS, MOST_BEYOND = 0.08, 0.9, 1.0
+# A start that is given is believed against a worse fit, without jumps.
 MOST_COST_FROM_START = 9.0
 # Two courses whose costs differ by less, in nats, are equally likely.
 SURELY_BETTER = 30.0
@@ -53,6 +63,11 @@ class StartHypothesis(NamedTuple):
     cost: float
     agrees: float
     through: float
+
+    @property
+    def misfit(self) -> float:
+        """Nats per scan that speak against the map."""
+        return self.cost + THROUGH * min(self.through, USUAL_THROUGH)
 
     def __str__(self) -> str:
         x, y, theta = self.pose
@@ -117,14 +132,14 @@ def choose_course(
     for (put_right, steps), unturned in ((plain, None), (turned, plain), (reversed_, None), (both, reversed_)):
         judged = search(log, steps, put_right)
         first = first or tuple(one for one, _ in judged[:2])
-        if judged[0][0].cost > limit:
-            judged = _standing_out(judged)
+        if judged[0][0].misfit > (MOST_COST if len(judged[0][1].jumps) else limit):
+            judged = _standing_out(judged, start)
         if not judged:
             continue
         hypotheses = tuple(one for one, _ in judged[:2])
         equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
         if unturned is not None:
-            _refuse_mirrored(log, unturned[1], search, hypotheses[0].cost + equal)
+            _refuse_mirrored(log, unturned[1], search, hypotheses[0].misfit + equal)
         if len(hypotheses) > 1 and hypotheses[1].cost - hypotheses[0].cost < equal:
             raise TrajectoryNotFoundError(
                 f"two trajectories fit the log equally well, give the start of one{more}; {_named(hypotheses)}"
@@ -138,26 +153,67 @@ def choose_course(
     )
 
 
-def _standing_out(judged: list[Judged]) -> list[Judged]:
-    """Return the courses without jumps if the first is beyond doubt though its readings fit the map poorly, or none."""
+def without_false_jumps(
+    log: SensorLog, grid: OccupancyGrid, drive: Drive, followed: list[Followed], course: Course,
+    start: FloatArray | None,
+) -> Course:  # fmt: skip
+    """Return the course without the jumps without which more beams agree with the map.
+
+    Hypotheses are followed by end points, which fit walls behind walls as well.
+
+    Parameters
+    ----------
+    log, grid, drive, start
+        As for `choose_course`.
+    followed
+        The hypotheses that the course is made of.
+    course
+        The cheapest way through them.
+    """
+    bounds = [0, *course.jumps, len(course.which)]
+    for i, jump in enumerate(course.jumps, 1):
+        # What held before the jump may hold after it, or the other way round.
+        for first, end, other in (
+            (jump, bounds[i + 1], course.which[jump - 1]),
+            (bounds[i - 1], jump, course.which[jump]),
+        ):
+            part, instead = slice(first, end), followed[other].poses
+            if first == 0 and not is_at(instead[0], start):
+                continue
+            scans = drive.scans[part]
+            chosen = ray_agreement(log, grid, course.poses[part], scans)
+            if ray_agreement(log, grid, instead[part], scans).agrees > chosen.agrees:
+                which = course.which.copy()
+                which[part] = other
+                shorter = course_through(drive, followed, which, start)
+                if len(shorter.jumps) < len(course.jumps):
+                    return without_false_jumps(log, grid, drive, followed, shorter, start)
+    return course
+
+
+def _standing_out(judged: list[Judged], start: FloatArray | None) -> list[Judged]:
+    """Return the courses without jumps if the first is beyond doubt though its readings fit the map poorly, or none.
+
+    Where a start is given, there need not be another that begins there.
+    """
     best, *others = sorted(judged, key=lambda pair: len(pair[1].jumps) > 0)
-    jumping = [one for one, course in others if len(course.jumps)]
-    steady = [one for one, course in others if not len(course.jumps)]
+    jumping = min((one.cost for one, course in others if len(course.jumps)), default=np.inf)
+    steady = min((one.cost for one, course in others if not len(course.jumps)), default=np.inf)
     undoubted = (
         not len(best[1].jumps)
-        and best[0].agrees >= max([LEAST_AGREEMENT, *(one.agrees for one, _ in others)])
-        and best[0].cost + STANDS_OUT <= min((one.cost for one in steady), default=-np.inf)
-        and best[0].cost - MOST_BEYOND <= min((one.cost for one in jumping), default=np.inf)
+        and best[0].agrees >= max([LEAST_AGREEMENT, *(one.agrees + AGREES_MORE for one, _ in others)])
+        and (np.isfinite(steady) or start is not None)
+        and best[0].cost <= min(steady - COSTS_LESS, jumping + MOST_BEYOND)
     )
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
 
 
 def _refuse_mirrored(log: SensorLog, drive: Drive, search: Callable[..., list[Judged]], limit: float) -> None:
-    """Refuse a log that fits the map, at a cost up to the limit, if its scans are mirrored."""
+    """Refuse a log that fits the map, up to a misfit, if its scans are mirrored."""
     finder = replace(log.finder, mounts=log.finder.mounts * [1.0, -1.0, -1.0])
     image = replace(log, finder=finder)
     judged = search(image, with_points(drive, image), "with its scans mirrored")
-    if judged[0][0].cost <= limit:
+    if judged[0][0].misfit <= limit:
         raise TrajectoryNotFoundError(
             "the log fits the map only if its scans are mirrored (a lidar upside down, or the wrong sign of "
             "angle_increment?): put that right in the sensor's frame or in the scans; "
@@ -171,20 +227,25 @@ def _hypotheses(
 ) -> list[Judged]:  # fmt: skip
     """Return courses through the log, the cheapest first."""
     stage = "searching the map" + (f", {name}" if name else "")
-    followed = follow_hypotheses(drive, grid, walls, start, partial(report, stage))
+    ways = follow_hypotheses(drive, grid, walls, start, partial(report, stage))
+    followed = [one for way in ways for one in way]
     if not followed:
         raise TrajectoryNotFoundError("no place of the map looks like any place of the log")
-    best = cheapest_course(drive, followed, start)
-    judged = [(_hypothesis(log, grid, drive, one), one) for one in (best, *other_courses(followed, best, start)[:3])]
-    return sorted(judged, key=lambda pair: pair[0].cost)
+    cheapest = [
+        without_false_jumps(log, grid, drive, some, cheapest_course(drive, some, start), start)
+        for some in (followed, *ways)
+    ]
+    best = min((_judged(log, grid, drive, one) for one in cheapest), key=lambda pair: pair[0].cost)
+    others = [_judged(log, grid, drive, one) for one in other_courses(followed, best[1], start)[:3]]
+    return sorted([best, *others], key=lambda pair: pair[0].cost)
 
 
-def _hypothesis(log: SensorLog, grid: OccupancyGrid, drive: Drive, course: Course) -> StartHypothesis:
+def _judged(log: SensorLog, grid: OccupancyGrid, drive: Drive, course: Course) -> Judged:
     agreement = ray_agreement(log, grid, course.poses, drive.scans)
     pose = course.poses[0].copy()
     pose[2] = wrap_angle(pose[2])
-    cost = course.cost / len(drive.scans) + THROUGH_COST * agreement.through
-    return StartHypothesis(pose, cost, *agreement)
+    cost = course.cost / len(drive.scans) + MORE_THROUGH * max(agreement.through - USUAL_THROUGH, 0.0)
+    return StartHypothesis(pose, cost, *agreement), course
 
 
 def _named(hypotheses: Sequence[StartHypothesis]) -> str:

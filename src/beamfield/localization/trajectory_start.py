@@ -24,8 +24,11 @@ PLACES, LOCAL_WAYS = 8, (1.5, 6.0)
 LOCAL_POINTS = 150
 # Cells and headings of the search, and the width of its field: maps and odometry need not be better.
 SEARCH_CELL, SEARCH_SIGMA, SEARCH_STEP = 0.1, 0.2, np.radians(2.0)
-# While tracking, hits lie so far from the walls, and odometry errs by so much.
-TRACK_HITS = HitNoise(0.2, 0.02, -DEEPEST_HIT, 0.0)
+# Hypotheses are followed once by each of these: where many small things stand, the wide one is drawn from one to the
+# next; where the map is wrong by more, the narrow one loses the walls. Both are judged alike.
+FOLLOW_HITS = (HitNoise(0.1, 0.02, -0.2, 0.0), HitNoise(0.2, 0.02, -DEEPEST_HIT, 0.0))
+JUDGE_HITS = FOLLOW_HITS[-1]
+# Meanwhile odometry errs by so much.
 TRACK_STEPS = StepNoise(0.05**2, 0.03**2, 0.03**2, 0.1**2, 0.02**2, 1e-6)
 # A scan is worth so many independent readings when hypotheses are compared.
 INDEPENDENT = 6.0
@@ -33,6 +36,8 @@ INDEPENDENT = 6.0
 SEARCH_DEVIATION = (0.15, np.radians(2.0))
 # Nats that a jump from one hypothesis to another costs: a robot is seldom carried away.
 SWITCH = 200.0
+# And a course that begins elsewhere than at the start that is given.
+ELSEWHERE = 2000.0
 # A robot was carried, or its odometry failed, where the course differs from it by more; less is a slip.
 CARRIED, CARRIED_TURN = 0.7, np.radians(30.0)
 # Two hypotheses are apart where they differ by more than this, metres and radians; others count as one.
@@ -67,18 +72,21 @@ class Course:
     poses
         (n, 3) at each scan held to the map.
     cost
-        Nats: the scans' costs and the jumps'.
+        Nats: the scans' costs and those of changing the hypothesis.
     jumps
-        Indices i of scans held to the map where the hypothesis changes between i - 1 and i.
+        Indices i of scans held to the map where the robot would have been carried between i - 1 and i.
+    which
+        (n,) the hypothesis at each scan.
     """
 
     poses: FloatArray
     cost: float
     jumps: NDArray[np.int64]
+    which: NDArray[np.int64]
 
 
 def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: FloatArray | None,
-                      progress: Callable[[int, int], None]) -> list[Followed]:  # fmt: skip
+                      progress: Callable[[int, int], None]) -> tuple[list[Followed], ...]:  # fmt: skip
     """Search the map at several places of the log, and follow what is found forwards and backwards.
 
     Parameters
@@ -92,9 +100,9 @@ def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: Fl
 
     Returns
     -------
-    Hypotheses; those that are alike are not told apart.
+    Hypotheses as each of `FOLLOW_HITS` follows them.
     """
-    search, followed = GlobalSearch(_coarse(hollowed(grid)), sigma=SEARCH_SIGMA, angle_step=SEARCH_STEP), []
+    search, begun = GlobalSearch(_coarse(hollowed(grid)), sigma=SEARCH_SIGMA, angle_step=SEARCH_STEP), []
     places = _places(drive)
     for done, place in enumerate(places):
         window, poses = SearchWindow.whole_map(search.grid), []
@@ -108,9 +116,9 @@ def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: Fl
             if len(points):
                 found = search.search(_as_grid(points), window, apart=(APART, APART_TURN))
                 poses += [one.pose for one in (found.best, found.runner_up) if found.found and one is not None]
-        followed += [_follow(drive, walls, place, pose) for pose in poses]
+        begun += [(place, pose) for pose in poses]
         progress(done + 1, len(places))
-    return followed
+    return tuple(_follow_all(drive, walls, begun, hits) for hits in FOLLOW_HITS)
 
 
 def cheapest_course(drive: Drive, followed: list[Followed], start: FloatArray | None) -> Course:
@@ -118,8 +126,7 @@ def cheapest_course(drive: Drive, followed: list[Followed], start: FloatArray | 
     costs = np.array([one.costs for one in followed])
     n = costs.shape[1]
     total = costs[:, 0].copy()
-    if start is not None:
-        total[[not _near(one.poses[0], start, NEAR_START, NEAR_START_TURN) for one in followed]] += 10.0 * SWITCH
+    total[[not is_at(one.poses[0], start) for one in followed]] += ELSEWHERE
     came_from = np.empty((n, len(followed)), np.int64)
     for i in range(1, n):
         cheapest = int(np.argmin(total))
@@ -130,11 +137,21 @@ def cheapest_course(drive: Drive, followed: list[Followed], start: FloatArray | 
     which[-1] = np.argmin(total)
     for i in range(n - 1, 0, -1):
         which[i - 1] = came_from[i, which[i]]
-    poses = np.array([followed[which[i]].poses[i] for i in range(n)])
+    return course_through(drive, followed, which, start)
+
+
+def course_through(
+    drive: Drive, followed: list[Followed], which: NDArray[np.int64], start: FloatArray | None
+) -> Course:
+    """Return the course on which these (n,) hypotheses hold."""
+    scans = np.arange(len(which))
+    poses = np.array([one.poses for one in followed])[which, scans]
+    costs = np.array([one.costs for one in followed])[which, scans]
     expected = compose(poses[:-1], drive.steps_between_scans)
     changes = np.flatnonzero(np.diff(which)) + 1
     jumps = [i for i in changes if not _near(expected[i - 1], poses[i], CARRIED, CARRIED_TURN)]
-    return Course(poses, float(total.min()), np.array(jumps, dtype=np.int64))
+    cost = float(costs.sum()) + SWITCH * len(changes) + (0.0 if is_at(poses[0], start) else ELSEWHERE)
+    return Course(poses, cost, np.array(jumps, dtype=np.int64), which)
 
 
 def other_courses(followed: list[Followed], best: Course, start: FloatArray | None) -> list[Course]:
@@ -143,12 +160,19 @@ def other_courses(followed: list[Followed], best: Course, start: FloatArray | No
     Of a start that is given, only those that begin there.
     """
     others: list[Course] = []
-    for one in sorted(followed, key=lambda one: float(one.costs.sum())):
-        if start is not None and not _near(one.poses[0], start, NEAR_START, NEAR_START_TURN):
-            continue
-        if all(_share_apart(one.poses, course.poses) > 0.5 for course in [best, *others]):
-            others.append(Course(one.poses, float(one.costs.sum()), np.empty(0, np.int64)))
+    n = len(best.which)
+    for cost, which in sorted((float(one.costs.sum()), which) for which, one in enumerate(followed)):
+        one = followed[which]
+        if is_at(one.poses[0], start) and all(
+            _share_apart(one.poses, course.poses) > 0.5 for course in [best, *others]
+        ):
+            others.append(Course(one.poses, cost, np.empty(0, np.int64), np.full(n, which)))
     return others
+
+
+def is_at(pose: FloatArray, start: FloatArray | None) -> bool:
+    """Return whether a log may have begun at a pose, by the start that is given if one is."""
+    return start is None or _near(pose, start, NEAR_START, NEAR_START_TURN)
 
 
 def _share_apart(a: FloatArray, b: FloatArray) -> float:
@@ -160,15 +184,24 @@ def _near(a: FloatArray, b: FloatArray, distance: float, turn: float) -> bool:
     return bool(np.hypot(*(a - b)[:2]) <= distance and abs(float(wrap_angle(a[2] - b[2]))) <= turn)
 
 
-def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray) -> Followed:
+def _follow_all(drive: Drive, walls: Walls, begun: list[tuple[int, FloatArray]], hits: HitNoise) -> list[Followed]:
+    """Follow poses at places of the log, but for those that another comes by."""
+    followed: list[Followed] = []
+    for place, pose in begun:
+        if not any(_near(one.poses[place], pose, *SEARCH_DEVIATION) for one in followed):
+            followed.append(_follow(drive, walls, place, pose, hits))
+    return followed
+
+
+def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray, hits: HitNoise) -> Followed:
     n = len(drive.scans)
     poses, costs = np.empty((n, 3)), np.empty(n)
     steps = drive.steps_between_scans
     for direction in (-1, 1):
         poses[place] = pose
         covariance = np.diag([SEARCH_DEVIATION[0] ** 2] * 2 + [SEARCH_DEVIATION[1] ** 2])
-        kernels.track(drive.points, drive.first, steps, walls, TRACK_HITS, TRACK_STEPS, INDEPENDENT, place, direction,
-                      poses, covariance, costs)  # fmt: skip
+        kernels.track(drive.points, drive.first, steps, walls, hits, JUDGE_HITS, TRACK_STEPS, INDEPENDENT, place,
+                      direction, poses, covariance, costs)  # fmt: skip
     return Followed(place, poses, costs)
 
 

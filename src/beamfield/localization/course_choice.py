@@ -42,7 +42,7 @@ MOST_COST = 4.6
 AGREES_MORE, COSTS_LESS, MOST_BEYOND = 0.08, 0.9, 1.0
 # A start that is given is believed against a worse fit, without jumps.
 MOST_COST_FROM_START = 9.0
-# Two courses whose costs differ by less, in nats, are equally likely.
+# Two courses whose costs and misfits differ by less, in nats, are equally likely.
 SURELY_BETTER = 30.0
 
 
@@ -140,7 +140,7 @@ def choose_course(
         equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
         if unturned is not None:
             _refuse_mirrored(log, unturned[1], search, hypotheses[0].misfit + equal)
-        if len(hypotheses) > 1 and hypotheses[1].cost - hypotheses[0].cost < equal:
+        if any(one.cost - hypotheses[0].cost < equal > one.misfit - hypotheses[0].misfit for one in hypotheses[1:]):
             raise TrajectoryNotFoundError(
                 f"two trajectories fit the log equally well, give the start of one{more}; {_named(hypotheses)}"
             )
@@ -157,7 +157,7 @@ def without_false_jumps(
     log: SensorLog, grid: OccupancyGrid, drive: Drive, followed: list[Followed], course: Course,
     start: FloatArray | None,
 ) -> Course:  # fmt: skip
-    """Return the course without the jumps without which more beams agree with the map.
+    """Return the course without the jumps without which no fewer beams agree with the map, or it costs no more.
 
     Hypotheses are followed by end points, which fit walls behind walls as well.
 
@@ -177,16 +177,14 @@ def without_false_jumps(
             (jump, bounds[i + 1], course.which[jump - 1]),
             (bounds[i - 1], jump, course.which[jump]),
         ):
-            part, instead = slice(first, end), followed[other].poses
-            if first == 0 and not is_at(instead[0], start):
-                continue
-            scans = drive.scans[part]
-            chosen = ray_agreement(log, grid, course.poses[part], scans)
-            if ray_agreement(log, grid, instead[part], scans).agrees > chosen.agrees:
-                which = course.which.copy()
-                which[part] = other
-                shorter = course_through(drive, followed, which, start)
-                if len(shorter.jumps) < len(course.jumps):
+            part, which = slice(first, end), course.which.copy()
+            which[part] = other
+            shorter = course_through(drive, followed, which, start)
+            if len(shorter.jumps) < len(course.jumps) and is_at(shorter.poses[0], start):
+                chosen, instead = (
+                    ray_agreement(log, grid, one.poses[part], drive.scans[part]).agrees for one in (course, shorter)
+                )
+                if instead >= chosen or shorter.cost <= course.cost:
                     return without_false_jumps(log, grid, drive, followed, shorter, start)
     return course
 

@@ -34,6 +34,8 @@ TRACK_STEPS = StepNoise(0.05**2, 0.03**2, 0.03**2, 0.1**2, 0.02**2, 1e-6)
 INDEPENDENT = 6.0
 # How uncertain a pose of the search is: metres, radians.
 SEARCH_DEVIATION = (0.15, np.radians(2.0))
+# What is found so near another that comes by is not followed once more.
+SAME = (0.05, np.radians(1.0))
 # Nats that a jump from one hypothesis to another costs: a robot is seldom carried away.
 SWITCH = 200.0
 # And a course that begins elsewhere than at the start that is given.
@@ -188,7 +190,7 @@ def _follow_all(drive: Drive, walls: Walls, begun: list[tuple[int, FloatArray]],
     """Follow poses at places of the log, but for those that another comes by."""
     followed: list[Followed] = []
     for place, pose in begun:
-        if not any(_near(one.poses[place], pose, *SEARCH_DEVIATION) for one in followed):
+        if not any(_near(one.poses[place], pose, *SAME) for one in followed):
             followed.append(_follow(drive, walls, place, pose, hits))
     return followed
 

@@ -54,7 +54,8 @@ class StartHypothesis(NamedTuple):
     pose
         (3,) of the first scan, metres and radians.
     cost
-        Nats that scans and corrections of the odometry cost, per scan; the best start has the least.
+        Nats that scans and corrections of the odometry cost, per scan, and more beams through walls than usual; the
+        best start has the least.
     agrees, through
         Shares of the beams: as long as the map says; longer, through its walls.
     """

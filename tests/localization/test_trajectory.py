@@ -14,6 +14,7 @@ from beamfield.localization.drive import prepare
 from beamfield.localization.trajectory import TrajectoryFit, find_course, fit_course, fit_trajectory
 from beamfield.localization.trajectory_start import Followed, cheapest_course
 from beamfield.localization.trajectory_trust import time_gaps
+from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_parameters import BeamParameters
@@ -49,6 +50,12 @@ def test_a_drive_with_drifting_odometry_is_found_without_a_start(fit: Trajectory
 
 def test_a_robot_is_found_where_all_that_is_not_free_is_painted_black(drive: SensorLog, black_office: OccupancyGrid):
     assert distances(fit_trajectory(drive, black_office), drive).max() < 0.1
+
+
+def test_hits_lie_less_deep_in_what_is_filled_than_in_walls_painted_thick(
+    office: OccupancyGrid, black_office: OccupancyGrid
+):
+    assert walls_of(black_office).deepest < walls_of(office).deepest
 
 
 def test_a_course_that_stands_out_is_taken_though_most_readings_are_of_people(office: OccupancyGrid):

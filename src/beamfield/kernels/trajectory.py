@@ -38,6 +38,8 @@ class Walls(NamedTuple):
     yaw: float
     """Pose of the table's lower-left corner in the map."""
     resolution: float
+    deepest: float
+    """Hits lie no deeper behind the first painted cells, metres."""
 
 
 class HitNoise(NamedTuple):

@@ -8,7 +8,6 @@ import numpy as np
 
 from beamfield.geometry import FloatArray
 from beamfield.kernels.trajectory import HitNoise, Walls
-from beamfield.maps.solids import DEEPEST_HIT
 
 # Hits are looked for this near the walls, metres, or cells if they are larger; others are not about these walls.
 REACH, REACH_CELLS = 0.5, 5.0
@@ -34,7 +33,7 @@ def painted_walls(sigma: float, clutter: float, walls: Walls) -> HitNoise:
     walls
         The map's.
     """
-    return HitNoise(sigma, clutter, -DEEPEST_HIT, 0.5 * walls.resolution)
+    return HitNoise(sigma, clutter, -walls.deepest, 0.5 * walls.resolution)
 
 
 def stand_on_faces(signed: FloatArray, walls: Walls) -> bool:
@@ -64,7 +63,7 @@ def fit_hits(signed: FloatArray, walls: Walls, on_faces: bool) -> HitNoise:
     if not len(near):
         return painted_walls(walls.resolution, CLUTTER_LIMITS[1], walls)
     face = 0.5 * walls.resolution
-    return _fitted(near, face if on_faces else -DEEPEST_HIT, face, reach)[0]
+    return _fitted(near, face if on_faces else -walls.deepest, face, reach)[0]
 
 
 def off_band(signed: FloatArray, noise: HitNoise) -> FloatArray:

@@ -25,9 +25,8 @@ LOCAL_POINTS = 150
 # Cells and headings of the search, and the width of its field: maps and odometry need not be better.
 SEARCH_CELL, SEARCH_SIGMA, SEARCH_STEP = 0.1, 0.2, np.radians(2.0)
 # Hypotheses are followed once by each of these: where many small things stand, the wide one is drawn from one to the
-# next; where the map is wrong by more, the narrow one loses the walls. Both are judged alike.
+# next; where the map is wrong by more, the narrow one loses the walls. Both are judged by the wide one.
 FOLLOW_HITS = (HitNoise(0.1, 0.02, -0.2, 0.0), HitNoise(0.2, 0.02, -DEEPEST_HIT, 0.0))
-JUDGE_HITS = FOLLOW_HITS[-1]
 # Meanwhile odometry errs by so much.
 TRACK_STEPS = StepNoise(0.05**2, 0.03**2, 0.03**2, 0.1**2, 0.02**2, 1e-6)
 # A scan is worth so many independent readings when hypotheses are compared.
@@ -120,7 +119,8 @@ def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: Fl
                 poses += [one.pose for one in (found.best, found.runner_up) if found.found and one is not None]
         begun += [(place, pose) for pose in poses]
         progress(done + 1, len(places))
-    return tuple(_follow_all(drive, walls, begun, hits) for hits in FOLLOW_HITS)
+    ways = [hits._replace(low=max(hits.low, -walls.deepest)) for hits in FOLLOW_HITS]
+    return tuple(_follow_all(drive, walls, begun, hits, ways[-1]) for hits in ways)
 
 
 def cheapest_course(drive: Drive, followed: list[Followed], start: FloatArray | None) -> Course:
@@ -186,23 +186,25 @@ def _near(a: FloatArray, b: FloatArray, distance: float, turn: float) -> bool:
     return bool(np.hypot(*(a - b)[:2]) <= distance and abs(float(wrap_angle(a[2] - b[2]))) <= turn)
 
 
-def _follow_all(drive: Drive, walls: Walls, begun: list[tuple[int, FloatArray]], hits: HitNoise) -> list[Followed]:
+def _follow_all(
+    drive: Drive, walls: Walls, begun: list[tuple[int, FloatArray]], hits: HitNoise, judged: HitNoise
+) -> list[Followed]:
     """Follow poses at places of the log, but for those that another comes by."""
     followed: list[Followed] = []
     for place, pose in begun:
         if not any(_near(one.poses[place], pose, *SAME) for one in followed):
-            followed.append(_follow(drive, walls, place, pose, hits))
+            followed.append(_follow(drive, walls, place, pose, hits, judged))
     return followed
 
 
-def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray, hits: HitNoise) -> Followed:
+def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray, hits: HitNoise, judged: HitNoise) -> Followed:
     n = len(drive.scans)
     poses, costs = np.empty((n, 3)), np.empty(n)
     steps = drive.steps_between_scans
     for direction in (-1, 1):
         poses[place] = pose
         covariance = np.diag([SEARCH_DEVIATION[0] ** 2] * 2 + [SEARCH_DEVIATION[1] ** 2])
-        kernels.track(drive.points, drive.first, steps, walls, hits, JUDGE_HITS, TRACK_STEPS, INDEPENDENT, place,
+        kernels.track(drive.points, drive.first, steps, walls, hits, judged, TRACK_STEPS, INDEPENDENT, place,
                       direction, poses, covariance, costs)  # fmt: skip
     return Followed(place, poses, costs)
 

@@ -7,6 +7,7 @@ import numpy as np
 from beamfield.kernels.trajectory import Walls
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.solids import DEEPEST_HIT, DEEPEST_IN_FILL
 
 
 def walls_of(grid: OccupancyGrid) -> Walls:
@@ -23,4 +24,6 @@ def walls_of(grid: OccupancyGrid) -> Walls:
     distance = distance_to_obstacles(grid, only_boundaries=True)
     signed = np.where(grid.occupied, -distance, distance)
     x, y, yaw = (float(value) for value in grid.origin)
-    return Walls(np.ascontiguousarray(signed), x, y, yaw, grid.resolution)
+    is_filled = np.count_nonzero(signed < -DEEPEST_HIT) > 0.5 * np.count_nonzero(grid.occupied)
+    deepest = DEEPEST_IN_FILL if is_filled else DEEPEST_HIT
+    return Walls(np.ascontiguousarray(signed), x, y, yaw, grid.resolution, deepest)

@@ -9,6 +9,8 @@ from beamfield.maps.occupancy import OccupancyGrid
 
 # No hit lies deeper in a solid, metres: more than poses and walls are wrong by.
 DEEPEST_HIT = 0.5
+# Nor so deep where the solids are no walls that were painted thick, but all that is not free.
+DEEPEST_IN_FILL = 0.2
 
 
 def hollowed(grid: OccupancyGrid) -> OccupancyGrid:

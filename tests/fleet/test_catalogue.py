@@ -122,6 +122,7 @@ def change_record(place: Path, **values: Any) -> Path:
         ({"files": [{"path": "beams/../../x", "day": "2026-11-02", "rows": 1, "size": 1}]}, "expected a file in"),
         ({"files": [{"path": "beams/x", "day": "yesterday", "rows": 1, "size": 1}]}, "expected the record of a run"),
         ({"map_info": 3}, "expected the record of a run"),
+        ({"selection": {"used": float("nan")}}, "selection: expected counts"),
         (
             {"map_info": {"resolution": 0.1, "origin": [0, 0, 0], "shape": [2, 2], "content": "../x"}},
             "expected the record",

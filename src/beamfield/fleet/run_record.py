@@ -181,6 +181,8 @@ class RunRecord:
         check_fields(self)
         require(self.status in ("used", "left out"), "status", "'used' or 'left out'", self.status)
         require(0.0 <= self.share_trusted <= 1.0, "share_trusted", "a share", self.share_trusted)
+        for name, counts in (("selection", self.selection), ("left_out", self.left_out)):
+            require(all(type(n) is int and n >= 0 for n in counts.values()), name, "counts", counts)
         require(self.is_used == bool(self.sensor), "sensor", "one of runs that are used", self.sensor)
         if self.is_used:
             _ = self.finder

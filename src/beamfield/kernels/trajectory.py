@@ -204,7 +204,7 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
     walls, noise, step_noise
         The map, and how wrong both sensors are.
     judged
-        How wrong end points are for the costs.
+        How wrong end points are when costs are counted, so that hypotheses that different noise follows compare.
     independent
         How many independent end points a scan is worth.
     start

@@ -22,7 +22,7 @@ from beamfield.localization.trajectory_start import (
     follow_hypotheses,
     is_at,
     other_courses,
-)  # fmt: skip
+)
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.ray_agreement import LEAST_AGREEMENT, ray_agreement
 from beamfield.sensors import SensorLog

@@ -33,11 +33,11 @@ TRACK_STEPS = StepNoise(0.05**2, 0.03**2, 0.03**2, 0.1**2, 0.02**2, 1e-6)
 INDEPENDENT = 6.0
 # How uncertain a pose of the search is: metres, radians.
 SEARCH_DEVIATION = (0.15, np.radians(2.0))
-# What is found so near another that comes by is not followed once more.
+# A pose that another hypothesis passes this near at its place is not followed again: metres, radians.
 SAME = (0.05, np.radians(1.0))
 # Nats that a jump from one hypothesis to another costs: a robot is seldom carried away.
 SWITCH = 200.0
-# And a course that begins elsewhere than at the start that is given.
+# Nats that a course costs if it begins elsewhere than at the start that is given.
 ELSEWHERE = 2000.0
 # A robot was carried, or its odometry failed, where the course differs from it by more; less is a slip.
 CARRIED, CARRIED_TURN = 0.7, np.radians(30.0)
@@ -189,7 +189,7 @@ def _near(a: FloatArray, b: FloatArray, distance: float, turn: float) -> bool:
 def _follow_all(
     drive: Drive, walls: Walls, begun: list[tuple[int, FloatArray]], hits: HitNoise, judged: HitNoise
 ) -> list[Followed]:
-    """Follow poses at places of the log, but for those that another comes by."""
+    """Follow poses at places of the log, each hypothesis once."""
     followed: list[Followed] = []
     for place, pose in begun:
         if not any(_near(one.poses[place], pose, *SAME) for one in followed):

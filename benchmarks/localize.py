@@ -24,14 +24,15 @@ import numpy as np
 from beamfield.calibration.calibrate import calibrate
 from beamfield.calibration.context.exponent import learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
-from beamfield.cli.localize import INDEPENDENT_BEAMS, PARTICLES_RECOVERING
+from beamfield.cli.localize import DEFAULT_BEAMS, INDEPENDENT_BEAMS, PARTICLES_RECOVERING
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.kernels.threads import set_threads
+from beamfield.localization.coarse_model import CoarseModel
 from beamfield.localization.particle_filter import FOUND_SPREAD, FilterOptions, Update
 from beamfield.localization.recovery import PosesFromScan, Recovery
 from beamfield.localization.replay import PoseBelief, reference_start
 from beamfield.localization.resampling import KldSampling
-from beamfield.localization.scan_localizer import COARSE, COARSE_BEAMS, COARSE_WORTH, ScanLocalizer
+from beamfield.localization.scan_localizer import ScanLocalizer
 from beamfield.localization.short_readings import ShortReadings
 from beamfield.models.beam import BeamModel
 from beamfield.models.gaussian_motion import USUAL_MOTION
@@ -118,8 +119,8 @@ def starts(folder: Path, seeds: int) -> list[dict[str, Any]]:
     ways = {
         "typical values throughout": replace(typical, coarse=typical.model),
         "learned values throughout": replace(learned, coarse=learned.model),
-        "the coarse field, then typical values": typical,
-        "the coarse field, then learned values": learned,
+        "the coarse model, then typical values": typical,
+        "the coarse model, then learned values": learned,
     }
     for name in WEAN_LOGS:
         log = read_log_and_map(folder, *LOGS[name])[0]
@@ -163,10 +164,8 @@ def elsewhere(folder: Path, seeds: int) -> list[dict[str, Any]]:
 
 def by_other_map(maps: HalfMaps) -> tuple[SensorLog, ScanLocalizer]:
     """Return a log and the filter as the command makes it, but for maps that no scan has a part in."""
-    exponent = COARSE_WORTH / COARSE_BEAMS
-    model = ByOtherMap(maps, partial(model_of, "likelihood field", exponent=exponent))
-    coarse = ByOtherMap(maps, partial(LikelihoodFieldModel, parameters=COARSE, n_beams=COARSE_BEAMS, exponent=exponent))
-    return maps.log, ScanLocalizer(maps.grids[1], model, USUAL_MOTION, coarse=coarse)
+    model = ByOtherMap(maps, partial(model_of, "likelihood field", exponent=INDEPENDENT_BEAMS / DEFAULT_BEAMS))
+    return maps.log, ScanLocalizer(maps.grids[1], model, USUAL_MOTION, coarse=ByOtherMap(maps, CoarseModel))
 
 
 def accuracy(folder: Path, seeds: int) -> list[dict[str, Any]]:
@@ -226,10 +225,10 @@ def rival(folder: Path, seeds: int) -> list[dict[str, Any]]:
     learned = learned_models(folder)
     models = {
         "field, learned": learned["likelihood field"],
-        "field, typical": model_of("likelihood field", grid, COARSE_WORTH / COARSE_BEAMS),
-        "field, coarse": LikelihoodFieldModel(grid, COARSE, n_beams=COARSE_BEAMS, exponent=COARSE_WORTH / COARSE_BEAMS),
+        "field, typical": model_of("likelihood field", grid, INDEPENDENT_BEAMS / DEFAULT_BEAMS),
+        "coarse": CoarseModel(grid),
         "beam model, learned": learned["beam model"],
-        "beam model, typical": model_of("beam model", grid, COARSE_WORTH / COARSE_BEAMS),
+        "beam model, typical": model_of("beam model", grid, INDEPENDENT_BEAMS / DEFAULT_BEAMS),
     }
     rows = []
     for name, model in models.items():

@@ -231,7 +231,6 @@ def test_what_makes_no_sense_is_refused_on_one_line(folder, capsys, words, what)
     [
         ("mirrored.log", ("--map", "map.yaml")),
         ("still.log", ("--map", "map.yaml", "--params", "nav2.yaml")),
-        ("drive.log", ("--map", "elsewhere.yaml", "--global", "--particles", "1000")),
     ],
 )
 def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
@@ -242,6 +241,15 @@ def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
     (finding,) = (one for one in json.loads(said.out)["findings"] if one["name"] == "robot-lost")
     assert finding["values"]["median_agreement"] < 0.45
     assert (finding["values"]["path_length_m"] == 0.0) == (log == "still.log")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_robot_in_another_building_is_not_found(folder, capsys):
+    words = ("--map", str(folder / "elsewhere.yaml"), "--global", "--particles", "1000", "--json")
+    assert main(["localize", str(folder / "drive.log"), *words]) == 3
+    said = capsys.readouterr()
+    assert "the robot has not been found" in said.err
+    assert {"not-found", "robot-lost"} & {finding["name"] for finding in json.loads(said.out)["findings"]}
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -279,3 +287,5 @@ def test_a_scan_is_worth_what_the_file_says_however_many_beams_are_used():
     assert _counting(None, 30, given) == {"n_beams": 30, "exponent": INDEPENDENT_BEAMS / 30}
     assert _counting(Namespace(n_beams=None, exponent=1.0), 30, given) == _counting(None, 30, given)
     assert _counting(None, 1, given)["exponent"] == 1.0
+    # An exponent alone counts for all beams.
+    assert _counting(Namespace(n_beams=None, exponent=0.02), 30, given) == {"n_beams": 30, "exponent": 0.02}

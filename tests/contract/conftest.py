@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from beamfield.detections import SPURIOUS, Detections
 from beamfield.geometry import compose, transform_points
+from beamfield.localization.coarse_model import CoarseModel
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
 from beamfield.maps.markers import MarkerMap
@@ -159,6 +160,11 @@ def build_likelihood_field(map_from_moved: ArrayLike = HOME, **options: Any) -> 
     return LikelihoodFieldModel(draw_floor(map_from_moved), parameters, **options)
 
 
+def build_coarse_model(map_from_moved: ArrayLike = HOME, **options: Any) -> CoarseModel:
+    """Return the model of the floor that weighs scans until a robot is found."""
+    return CoarseModel(draw_floor(map_from_moved), **options)
+
+
 def build_landmark_model(map_from_moved: ArrayLike = HOME, **options: Any) -> LandmarkModel:
     """Return a landmark model of three landmarks."""
     landmarks = LandmarkMap(transform_points(map_from_moved, [[0.6, 0.7], [4.1, 2.2], [6.3, 3.9]]), ids=[7, 3, 12])
@@ -259,6 +265,7 @@ CASES = [
         ),
         measurements=SCANS,
     ),
+    Case(name="coarse", build=build_coarse_model, options=({}, {"n_beams": 4}), measurements=SCANS),
     Case(
         name="landmarks",
         build=build_landmark_model,

@@ -142,8 +142,9 @@ def test_progress_ends_with_the_total(grid, truth):
         ({"resolution": 0.0}, "resolution: expected a positive"),
         ({"resolution": 1e-5}, "more than"),
         ({"headings": 0}, "headings: expected 1 to 3600, got 0"),
+        ({"headings": 4.5}, "headings: expected a whole number, got 4.5"),
     ],
-    ids=["step", "fine", "headings"],
+    ids=["step", "fine", "headings", "half a heading"],
 )
 def test_what_makes_no_sense_is_refused(grid, options, message):
     with pytest.raises(InvalidInputError, match=message):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -386,5 +387,8 @@ def test_readings_of_people_are_left_out_while_the_cloud_is_small(room):
     expected = RayCaster(room).expected_ranges(poses, FINDER)
     byhand = [np.mean([0.5 * math.erfc((z - e) / (0.05 * math.sqrt(2))) for e in column]) for z, column in zip(blocked, expected.T, strict=True)]  # noqa: E501  # fmt: skip
     np.testing.assert_allclose(short.probability_short(seen, poses), byhand, atol=1e-12)
+    cones = Scan(blocked, replace(FINDER, opening_angle=0.5))
+    with pytest.raises(InvalidInputError, match=r"short readings: expected a sensor of beams, got cones of 28\.6 deg"):
+        short.leave_out(cones, cloud.belief, rng)
     cloud.start(rng.normal(truth, [1.0, 1.0, 0.02], (500, 3)))
     assert short.leave_out(seen, cloud.belief, rng) is seen

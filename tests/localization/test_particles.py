@@ -59,6 +59,16 @@ def test_the_best_cluster_is_the_heaviest_group_of_bins_that_touch(rng, turn):
         assert best.pose[:2] == pytest.approx(weights[inside] @ poses[inside, :2] / mass.max())
 
 
+@pytest.mark.parametrize("far", [0.0, 6e5, 5e6])
+def test_clusters_stay_apart_however_far_the_map_is_from_the_origin(rng, far):
+    poses = rng.normal(0.0, 0.2, (500, 3))
+    poses[:200, :2] += 30.0
+    poses[:, :2] += far
+    best = Particles(poses, np.full(500, 0.002)).best_cluster
+    assert best.weight == pytest.approx(0.6, abs=0.05)
+    assert best.pose[:2] == pytest.approx([far, far], abs=0.1)
+
+
 def test_a_belief_is_drawn_with_its_mean_and_covariance(rng):
     covariance = np.array([[0.5, 0.2, 0.0], [0.2, 0.3, 0.05], [0.0, 0.05, 0.02]])
     poses = belief_poses(PoseBelief(np.array([1.0, 2.0, 3.0]), covariance), 40_000, rng)

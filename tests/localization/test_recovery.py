@@ -52,6 +52,11 @@ def test_the_share_has_a_bound_and_takes_no_harm_from_extremes():
     for _ in range(20):
         averages.add(-math.inf)
     assert averages.share == 0.25
+    # The fast average can be the last measurement alone.
+    averages = LikelihoodAverages(Recovery(alpha_fast=1.0, most=0.25))
+    for value in (-1.0, -5000.0, -math.inf):
+        averages.add(value)
+    assert averages.share == 0.25
 
 
 @pytest.mark.parametrize(("scale", "least_share"), [(8.0, 0.5), (200.0, 0.1), (1.0, 0.5), (8.0, 0.0)])

@@ -114,6 +114,13 @@ def test_a_run_without_anything_to_judge_is_refused():
         judge_replay(replay(np.zeros((2, 3))), np.zeros((3, 3)))
 
 
+@pytest.mark.parametrize("name", ["sd_position", "sd_heading"])
+@pytest.mark.parametrize("value", [-0.5, np.nan, np.inf])
+def test_standard_deviations_that_are_none_are_refused(name, value):
+    with pytest.raises(InvalidInputError, match=f"{name}: expected a finite number of at least 0"):
+        PoseBelief.around([0.0, 0.0, 0.0], **{name: value})
+
+
 def test_malformed_runs_and_beliefs_are_refused():
     with pytest.raises(InvalidInputError, match="means: expected shape"):
         Replay(np.zeros((2, 3)), np.array([0]), np.zeros((2, 3)), np.zeros((1, 3, 3)), np.array([1]))
@@ -170,6 +177,15 @@ def test_a_change_that_loses_more_runs_is_not_better():
     before, after = trials(np.linspace(0.2, 0.3, 10)), trials(np.linspace(0.1, 0.15, 10), n_lost=1)
     assert judge_change([before], [trials(np.linspace(0.1, 0.15, 10))]).is_better
     assert not judge_change([before], [after]).is_better
+
+
+def test_logs_of_one_name_are_refused():
+    worse, better = (
+        (trials(np.full(10, 0.1)), trials(np.full(10, 0.2))),
+        (trials(np.full(10, 0.5)), trials(np.ones(10))),
+    )
+    with pytest.raises(InvalidInputError, match="names of their own"):
+        judge_change(worse, better)
 
 
 def test_few_seeds_decide_nothing():

@@ -99,8 +99,8 @@ def test_bins_are_numbered_as_a_dictionary_would(rng):
 
 
 def test_poses_beyond_all_bins_share_the_last():
-    poses = np.array([[1e30, 0, 0], [-1e30, 0, 0], [1e29, 0, 0], [0, 0, 1e9]])
-    assert bin_numbers(poses)[0].tolist() == [0, 1, 0, 2]
+    poses = np.array([[0, 0, 0], [1e30, 0, 0], [-1e30, 0, 0], [1e29, 0, 0], [0, 0, 1e9]])
+    assert bin_numbers(poses)[0].tolist() == [0, 1, 2, 1, 3]
 
 
 def test_bad_numbers_are_refused(rng):

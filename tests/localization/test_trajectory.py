@@ -141,7 +141,7 @@ def room(drive: SensorLog) -> tuple[np.ndarray, SensorLog]:
     """Return a furnished room, cells of 0.05 m, and a short drive through it."""
     cells = np.zeros((80, 120))
     cells[[0, 1, -1, -2]] = cells[:, [0, 1, -1, -2]] = 100
-    cells[20:30, 20:40] = cells[50:56, 70:90] = 100
+    cells[20:30, 20:40] = cells[45:78, 95:100] = 100
     angle = np.linspace(0.0, 3.0, 60)
     poses = np.column_stack([3.0 + 1.0 * np.sin(angle), 2.0 + 0.2 * np.cos(angle), -0.5 * angle])
     expected = RayCaster(OccupancyGrid.from_ros(cells, 0.05)).expected_ranges(poses, drive.finder)

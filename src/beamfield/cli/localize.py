@@ -248,8 +248,9 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
 def _counting(saved: Any, n_in_scan: int, arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the number of beams and the exponent: a scan is worth as much, however many of its beams are used."""
     n_beams, worth = DEFAULT_BEAMS, INDEPENDENT_BEAMS
-    if saved is not None and saved.n_beams is not None:
-        n_beams, worth = saved.n_beams, saved.exponent * min(saved.n_beams, n_in_scan)
+    if saved is not None and (saved.n_beams is not None or saved.exponent != 1.0):
+        n_beams = saved.n_beams or n_in_scan
+        worth = saved.exponent * min(n_beams, n_in_scan)
     if arguments.beams is not None:
         n_beams = arguments.beams or n_in_scan
     n_used = min(n_beams, n_in_scan)

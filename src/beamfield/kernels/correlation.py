@@ -37,7 +37,8 @@ def fill_sums(poses: Floats, xs: Floats, ys: Floats, values: NDArray[np.float32]
         (n, 6) float64, overwritten: number of cells, sum of local values, of global values, of their products, of
         squared local values, of squared global values.
     """
-    index = np.empty(BLOCK, np.int32)
+    # As unsigned numbers, and of slices: LLVM then leaves out a test for negative ones, and loads whole vectors.
+    index = np.empty(BLOCK, np.uint32)
     found = np.empty(BLOCK, np.float32)
     total = xs.shape[0]
     width = np.int32(cols + 2)
@@ -46,18 +47,20 @@ def fill_sums(poses: Floats, xs: Floats, ys: Floats, values: NDArray[np.float32]
         n, sum_l, sum_m, sum_lm, sum_ll, sum_mm = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for first in range(0, total, BLOCK):
             count = min(BLOCK, total - first)
+            local = slice(first, first + count)
+            local_x, local_y, local_values = xs[local], ys[local], values[local]
             for b in range(count):
-                lx, ly = xs[first + b], ys[first + b]
+                lx, ly = local_x[b], local_y[b]
                 # Off the map is in the frame.
                 col = np.int32(min(max(x + c * lx - s * ly, 0.0), cols + 1.0))
                 row = np.int32(min(max(y + s * lx + c * ly, 0.0), rows + 1.0))
-                index[b] = row * width + col
+                index[b] = np.uint32(row * width + col)
             for b in range(count):
                 found[b] = table[index[b]]
             for b in range(count):
                 defined = found[b] < 1.5
                 m = np.float64(found[b]) if defined else 0.0
-                l = np.float64(values[first + b]) if defined else 0.0  # noqa: E741
+                l = np.float64(local_values[b]) if defined else 0.0  # noqa: E741
                 n += 1.0 if defined else 0.0
                 sum_l += l
                 sum_m += m

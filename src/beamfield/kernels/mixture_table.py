@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 # [0, max_range] is cut at the reading z, where p_short ends, some sigma on either side of it, and once more beyond, as
 # p_short falls like 1 / z*. Each of these five parts has so many pieces of equal length; in the first, where only
 # random readings are left, one will do.
-PIECES = (1, 20, 20, 10, 10)
+PIECES = (1, 16, 16, 8, 8)
 DEGREE = 5
 N_PIECES = sum(PIECES)
 FIRST_0, FIRST_1, FIRST_2, FIRST_3, FIRST_4 = (float(sum(PIECES[:part])) for part in range(5))

@@ -192,10 +192,12 @@ def number_bins(
     How many bins there are.
     """
     count = 0
+    # Counted from the first pose: a map's origin may be 5000 km away.
+    first_col, first_row = np.floor(poses[0, 0] / cell), np.floor(poses[0, 1] / cell)
     for i in range(len(poses)):
         key = _key(
-            _position_bin(poses[i, 0], cell),
-            _position_bin(poses[i, 1], cell),
+            _position_bin(poses[i, 0], cell, first_col),
+            _position_bin(poses[i, 1], cell, first_row),
             int((poses[i, 2] / _WRAP - np.floor(poses[i, 2] / _WRAP)) * n_headings) % n_headings,
         )
         slot = _slot(key, slots, keys)
@@ -266,9 +268,9 @@ def _first(b: int, parents: IndexArray) -> int:
 
 
 @kernel
-def _position_bin(value: float, cell: float) -> int:
+def _position_bin(value: float, cell: float, first: float) -> int:
     # The floor of NumPy, as that of `math` is an integer, which a large number overflows.
-    return int(min(max(np.floor(value / cell), -MOST_BINS + 2.0), MOST_BINS - 2.0)) + MOST_BINS
+    return int(min(max(np.floor(value / cell) - first, -MOST_BINS + 2.0), MOST_BINS - 2.0)) + MOST_BINS
 
 
 @kernel

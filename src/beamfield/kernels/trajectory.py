@@ -116,8 +116,8 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
              ) -> float:  # fmt: skip
     """Fill in gradient (6,) and Gauss-Newton information (3, 3) of a scan's cost; return the cost.
 
-    End points are (k, 2) in the robot's frame. The last three numbers of the gradient are by how much its first three
-    fall if all hits lie one metre further in front of the walls.
+    End points (k, 4) are x, y and the beam's direction, cos and sin, in the robot's frame. The last three numbers of
+    the gradient are by how much its first three fall if all hits lie one metre further in front of the walls.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     precision = 1.0 / (noise.sigma * noise.sigma)
@@ -128,10 +128,8 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
     for j in range(points.shape[0]):
         rx = c * points[j, 0] - s * points[j, 1]
         ry = s * points[j, 0] + c * points[j, 1]
-        length = math.sqrt(rx * rx + ry * ry)
-        signed, gx, gy = hit_distance(
-            pose[0] + rx, pose[1] + ry, rx / length, ry / length, walls, noise.low == noise.high
-        )
+        beam_x, beam_y = c * points[j, 2] - s * points[j, 3], s * points[j, 2] + c * points[j, 3]
+        signed, gx, gy = hit_distance(pose[0] + rx, pose[1] + ry, beam_x, beam_y, walls, noise.low == noise.high)
         residual = max(signed - noise.high, 0.0) + min(signed - noise.low, 0.0)
         exponent = 0.5 * residual * residual * precision
         if not exponent <= 30.0:
@@ -176,8 +174,8 @@ def fill_residuals(points: Floats, first: Integers, poses: Floats, walls: Walls,
         for j in range(first[i], first[i + 1]):
             rx = c * points[j, 0] - s * points[j, 1]
             ry = s * points[j, 0] + c * points[j, 1]
-            length = math.sqrt(rx * rx + ry * ry)
-            out[j] = hit_distance(poses[i, 0] + rx, poses[i, 1] + ry, rx / length, ry / length, walls, on_faces)[0]
+            beam_x, beam_y = c * points[j, 2] - s * points[j, 3], s * points[j, 2] + c * points[j, 3]
+            out[j] = hit_distance(poses[i, 0] + rx, poses[i, 1] + ry, beam_x, beam_y, walls, on_faces)[0]
 
 
 @kernel

@@ -7,6 +7,7 @@
 from beamfield.lazy_names import lazy_names
 
 _NAMES = {
+    "coarse_model": ("CoarseModel",),
     "fitted_poses": ("cross_fit_poses",),
     "search_window": ("SearchWindow",),
     "particle_filter": ("FilterOptions",),

@@ -5,6 +5,7 @@
 from beamfield.localization.fitted_poses import cross_fit_poses as cross_fit_poses
 from beamfield.localization.search_window import SearchWindow as SearchWindow
 from beamfield.localization.particle_filter import FilterOptions as FilterOptions
+from beamfield.localization.coarse_model import CoarseModel as CoarseModel
 from beamfield.localization.particles import belief_poses as belief_poses, free_poses as free_poses
 from beamfield.localization.recovery import (
     FreePoses as FreePoses,

@@ -35,7 +35,8 @@ class Drive:
     scans
         (n,) indices of the scans that are held to the map.
     points, first
-        End points (m, 2) of these in the robot's frame; those of the i-th are points[first[i]:first[i + 1]].
+        End points (m, 4) of these, x, y and cos and sin of the beam, in the robot's frame; those of the i-th are
+        points[first[i]:first[i + 1]].
     unknown
         (t,) scans whose odometry was interpolated.
     """
@@ -72,9 +73,10 @@ def prepare(log: SensorLog, odometry: FloatArray) -> Drive:
         (t, 3) finite somewhere.
     """
     known = np.isfinite(odometry).all(axis=1)
-    when = np.arange(len(log), dtype=np.float64)
-    inside = np.clip(when, when[known][0], when[known][-1])
-    filled = interpolate_poses(when[known], odometry[known], inside)
+    # Time goes on where a recorder drops scans; where it runs backwards, the order of the log counts.
+    when = np.maximum.accumulate(log.stamps)
+    filled = interpolate_poses(when[known], odometry[known], np.clip(when, when[known][0], when[known][-1]))
+    filled[known] = odometry[known]
     steps = between(filled[:-1], filled[1:])
     broken = odometry_jumps(steps, np.maximum(np.diff(log.stamps), 0.0))
     steps[broken] = 0.0
@@ -113,9 +115,10 @@ def _spread(steps: FloatArray, stamps: FloatArray) -> NDArray[np.int64]:
 
 def _points(log: SensorLog, scans: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
     """Return up to BEAMS end points of each scan, spread evenly over its hits."""
-    kept = []
+    kept, theta = [], log.finder.mounts[:, 2]
+    directions = np.column_stack([np.cos(theta), np.sin(theta)])
     for scan in scans:
-        ends = end_points(log.ranges[scan], log.finder)
+        ends = np.hstack([end_points(log.ranges[scan], log.finder), directions])
         ends = ends[np.isfinite(ends[:, 0])]
         if len(ends) > BEAMS:
             ends = ends[np.linspace(0, len(ends) - 1, BEAMS).round().astype(np.int64)]

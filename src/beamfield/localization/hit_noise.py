@@ -81,7 +81,8 @@ def _near(signed: FloatArray, walls: Walls) -> tuple[FloatArray, float]:
 def _fitted(near: FloatArray, low: float, high: float, reach: float) -> tuple[HitNoise, float]:
     """Fit sigma and the share of hits by expectation maximisation; return them and the mean log-likelihood."""
     residual = off_band(near, HitNoise(1.0, 0.0, low, high))
-    width = high - max(low, float(near.min()))
+    # In a coarse map, all clean readings may end before the plateau.
+    width = max(0.0, high - max(low, float(near.min())))
     sigma, share, elsewhere = 0.1, 0.8, 0.5 / reach
     for _ in range(EM_STEPS):
         peak = share / (width + SQRT_2PI * sigma)

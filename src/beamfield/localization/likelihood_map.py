@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_magnitude, checked, require
+from beamfield.arguments import as_count, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
@@ -177,7 +177,7 @@ def likelihood_map(
     """
     check_takes_poses_alone(model)
     shape = lattice_shape(grid, resolution, MAX_CELLS)
-    require(1 <= headings <= MAX_HEADINGS, "headings", f"1 to {MAX_HEADINGS}", headings)
+    as_count(headings, "headings", least=1, most=MAX_HEADINGS)
     mask = _free_cells(grid, shape, resolution)
     rows, cols = np.nonzero(mask)
     angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)

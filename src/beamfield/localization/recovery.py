@@ -109,7 +109,8 @@ def _log_mix(old: float, new: float, share: float) -> float:
     top = max(old, new)
     if top == -math.inf:
         return top
-    return top + math.log((1.0 - share) * math.exp(old - top) + share * math.exp(new - top))
+    total = (1.0 - share) * math.exp(old - top) + share * math.exp(new - top)
+    return top + math.log(total) if total > 0.0 else -math.inf
 
 
 class PoseSource(Protocol[Z_contra]):

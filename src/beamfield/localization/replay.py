@@ -74,7 +74,14 @@ class PoseBelief:
             Standard deviation of x and of y, metres.
         sd_heading
             That of the heading, radians.
+
+        Raises
+        ------
+        InvalidInputError
+            If a standard deviation is negative or not finite.
         """
+        for name, value in (("sd_position", sd_position), ("sd_heading", sd_heading)):
+            require(0.0 <= value < np.inf, name, "a finite number of at least 0", value)
         return cls(as_poses(pose, "pose"), np.diag(np.square([sd_position, sd_position, sd_heading])))
 
 

@@ -264,9 +264,12 @@ def judge_change(before: Sequence[ReplayTrials], after: Sequence[ReplayTrials]) 
     Raises
     ------
     InvalidInputError
-        If logs or seeds differ.
+        If logs or seeds differ, or two logs have one name.
     """
     overall = compare_trials(before, after)
+    names = [one.log for one in before]
+    if len(set(names)) < len(names):
+        raise InvalidInputError(f"before, after: expected logs with names of their own, got {names}")
     by_log = {a.log: compare_trials([a], [b]) for a, b in zip(before, after, strict=True)}
     lost = [sum(one.n_lost for one in trials) for trials in (before, after)]
     harmless = not any(one.is_higher for one in by_log.values()) and lost[1] <= lost[0]

@@ -14,6 +14,7 @@ from beamfield.arguments import as_count, check_fields, checked
 from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding, Severity, worst_first
 from beamfield.geometry import FloatArray
+from beamfield.localization.coarse_model import CoarseModel
 from beamfield.localization.particle_filter import FilterOptions, ParticleFilter, Update
 from beamfield.localization.particles import belief_poses, free_poses
 from beamfield.localization.recovery import PoseSource
@@ -22,22 +23,18 @@ from beamfield.localization.short_readings import ShortReadings
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.ray_agreement import scan_agreement
 from beamfield.maps.raycast import RayCaster
-from beamfield.maps.solids import hollowed
 from beamfield.models.base import MeasurementModel
-from beamfield.models.field_parameters import LikelihoodFieldParameters
-from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.motion import MotionModel
-from beamfield.sensors import RangeFinder, Scan, SensorLog
+from beamfield.sensors import Scan, SensorLog
 from beamfield.short_repr import short_repr
 
-# The field that weighs scans until a robot is found that can be anywhere. Two places are told apart over many metres,
-# on which the same errors of the map are seen again and again: by narrower fields, or scans that count more, the filter
-# is sure of a wrong place (docs/evidence/localization.md).
-COARSE = LikelihoodFieldParameters(z_hit=0.88, z_rand=0.12, sigma_hit=0.2)
-COARSE_BEAMS, COARSE_WORTH = 60, 1.8
 # A place is wrong where the readings of so many scans in a row that were used agree no better with the map, in the
 # mean. Robots that are followed: 0.27 or more on 16 logs; wrong places: 0.2 or less (docs/evidence/localization.md).
 JUDGED_SCANS, CONTRADICTED = 20, 0.25
+# For a few scans, one of many thousand poses fits in any building: a robot counts as found only after so many more that
+# were used, and after JUDGED_SCANS where an earlier place proved wrong. In the maps of ten other offices, places were
+# found for the last 1 to 11 scans of a log.
+PROVING_SCANS = 12
 
 # Called after each measurement used: the index of its scan, and what it did.
 Watch = Callable[[int, Update], None]
@@ -80,8 +77,7 @@ class ScanLocalizer:
         Particles to begin with where the start is not known. They are weighed once; from then on there are 5000 to
         50,000 until the robot is found, and then as many as the options say.
     coarse
-        Weighs scans where the start is not known, until the robot is found; None: a likelihood field with a sigma_hit
-        of 0.2 m, whose scans count as 1.8 independent beams.
+        Weighs scans where the start is not known, until the robot is found; None: a `CoarseModel`.
     source
         Where poses come from in a recovery.
     short_readings
@@ -140,7 +136,7 @@ class ScanLocalizer:
         """
         if not log.has_odometry:
             raise TooLittleDataError("log: no scan has odometry, which moves the particles; expected some")
-        own, coarse = self._filter(rng), None if start is not None else self._coarse_model(log.finder)
+        own, coarse = self._filter(rng), None if start is not None else self.coarse or CoarseModel(self.grid)
         own.start(self._cloud(start, rng), coarse=coarse)
         place, searched_from = _FoundPlace(log, self.grid), 0
         poses: FloatArray = np.full((len(log), 3), np.nan)
@@ -152,13 +148,16 @@ class ScanLocalizer:
             "searched-again": 0,
             "odometry-jumps": 0,
         }
+        # The last scan given to the filter.
+        given = -1
         for i, scan in enumerate(log):
             if not np.isfinite(log.odometry[i]).all():
                 counts["no-odometry"] += 1
                 continue
-            if i and _is_repeated(log, i):
+            if given >= 0 and _is_repeated(log, i, given):
                 counts["repeated-scans"] += 1
             else:
+                given = i
                 begin = time.thread_time()
                 update = own.update(scan, log.odometry[i], scan.stamp)
                 if update is not None and coarse is not None and own.is_found and place.is_wrong(i, own.pose):
@@ -176,8 +175,8 @@ class ScanLocalizer:
                         watch(i, update)
             poses[i] = own.pose
         counts["odometry-jumps"] += own.odometry_jumps
-        # A place found after another proved wrong has to prove right.
-        counts["not-found"] = int(not own.is_found or (searched_from > 0 and not place.is_judged))
+        proving = JUDGED_SCANS if searched_from > 0 else PROVING_SCANS
+        counts["not-found"] = int(not own.is_found or (coarse is not None and not place.is_proven(proving)))
         counts["stamps-back"] = int((np.diff(log.stamps) < 0.0).sum())
         return Localization(
             poses,
@@ -195,12 +194,6 @@ class ScanLocalizer:
             self.model, self.motion, self.options, source=self.source, short_readings=self.short_readings, rng=rng
         )
 
-    def _coarse_model(self, finder: RangeFinder) -> MeasurementModel[Scan]:
-        if self.coarse is not None:
-            return self.coarse
-        n = min(COARSE_BEAMS, finder.n_beams)
-        return LikelihoodFieldModel(hollowed(self.grid), COARSE, n_beams=n, exponent=min(1.0, COARSE_WORTH / n))
-
     def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> FloatArray:
         if start is None:
             return free_poses(self.grid, max(self.n_anywhere, self.options.n_particles), rng)
@@ -214,16 +207,16 @@ class _FoundPlace:
         self._log, self._grid, self._caster = log, grid, RayCaster(grid)
         self._shares = deque[float](maxlen=JUDGED_SCANS)
 
-    @property
-    def is_judged(self) -> bool:
-        return len(self._shares) == JUDGED_SCANS
+    def is_proven(self, n_scans: int) -> bool:
+        """Return whether so many scans have not contradicted it; cones of a sonar tell nothing."""
+        return self._log.finder.opening_angle > 0.0 or len(self._shares) >= n_scans
 
     def is_wrong(self, i: int, pose: FloatArray) -> bool:
         """Return whether the scans contradict the place, the i-th one taken at a pose included."""
         share = float(scan_agreement(self._log[i : i + 1], self._grid, pose[None], caster=self._caster)[0])
         if np.isfinite(share) and self._log.finder.opening_angle == 0.0:
             self._shares.append(share)
-        return self.is_judged and float(np.mean(self._shares)) < CONTRADICTED
+        return len(self._shares) == JUDGED_SCANS and float(np.mean(self._shares)) < CONTRADICTED
 
 
 class _Moments(NamedTuple):
@@ -239,9 +232,9 @@ class _Moments(NamedTuple):
         return cls(whole.pose, whole.covariance, len(update.belief))
 
 
-def _is_repeated(log: SensorLog, i: int) -> bool:
-    """Return whether a scan is the one before once more, stamp and readings."""
-    return bool(log.stamps[i] == log.stamps[i - 1] and np.array_equal(log.ranges[i], log.ranges[i - 1], equal_nan=True))
+def _is_repeated(log: SensorLog, i: int, given: int) -> bool:
+    """Return whether a scan is an earlier one once more, stamp and readings."""
+    return bool(log.stamps[i] == log.stamps[given] and np.array_equal(log.ranges[i], log.ranges[given], equal_nan=True))
 
 
 # Severity, what was seen, why it matters and what was done.
@@ -258,7 +251,7 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
     ),
     "not-found": (
         "warning",
-        "The robot has not been found: at the end the filter is sure of no place.",
+        "The robot has not been found: at the end the filter is sure of no place, or only since the last few scans.",
         "The poses are a best guess. Drive on, or give a start; beamfield trajectory searches by the whole log.",
     ),
     "searched-again": (

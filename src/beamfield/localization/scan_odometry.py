@@ -31,7 +31,8 @@ def odometry_from_scans(log: SensorLog, progress: Callable[[int, int], None]) ->
     for i in range(1, len(log)):
         scan = log.scan(i).every(BEAMS)
         found = align(scan, before, step)
-        step = found.pose if not found.problem else step
+        # What a corridor leaves undetermined keeps the guess; heading and distance from the walls do not.
+        step = found.pose if found.problem in ("", "undetermined") else step
         poses[i] = compose(poses[i - 1], step)
         before = scan
         progress(i, len(log) - 1)

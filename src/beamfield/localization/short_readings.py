@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from beamfield.arguments import check_fields, check_magnitude, require
+from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.localization.particles import Particles
 from beamfield.localization.resampling import systematic_indices
@@ -86,7 +87,17 @@ class ShortReadings:
         """Return the probability that each reading is shorter than expected, (k,): the mean over poses (n, 3).
 
         0 for readings without return and for those that are no measurement.
+
+        Raises
+        ------
+        InvalidInputError
+            If the sensor sees cones: an echo from their edge is shorter than their axis, and right.
         """
+        if scan.finder.opening_angle > 0.0:
+            raise InvalidInputError(
+                "short readings: expected a sensor of beams, got cones of "
+                f"{np.degrees(scan.finder.opening_angle):.3g} degrees; use all readings of a sonar"
+            )
         ranges = usable_ranges(scan.ranges, scan.finder)
         expected = self._caster.expected_ranges(poses, scan.finder)
         probability = ndtr((expected - ranges) / self.sigma).mean(axis=0)

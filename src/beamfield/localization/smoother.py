@@ -27,8 +27,9 @@ FIRST_STEP_NOISE = StepNoise(0.03**2, 0.02**2, 0.02**2, 0.05**2, 0.01**2, 1e-7)
 # Covariances reckon with at least this noise: along corridors, nothing shows how bad odometry is.
 LEAST_STEP_NOISE = StepNoise(0.04**2, 0.01**2, 0.01**2, 0.03**2, 0.005**2, 1e-7)
 FIRST_SIGMA, CLUTTER = 0.15, 0.1
-# Poses across a broken step know nothing of each other.
-UNKNOWN_STEP = 1e-8
+# Poses across a broken step know next to nothing of each other: with less information, rounding makes the matrix of a
+# log indefinite that stands without readings between two of them.
+UNKNOWN_STEP = 1e-4
 # Rounds of estimating the noise, steps of each, and when both end (metres or radians); a fit whose last round moved
 # less than SETTLED has converged.
 ROUNDS, STEPS, TOLERANCE, SETTLED = 10, 8, 1e-3, 0.05

@@ -223,7 +223,7 @@ def _local_points(drive: Drive, place: int, reach: float) -> FloatArray:
     near = np.flatnonzero(np.abs(way - way[place]) <= reach)
     path = chained(np.zeros(3), drive.steps)[drive.scans]
     path = compose(invert(path[place]), path[near])
-    kept = [transform_points(pose, drive.points[drive.first[i] : drive.first[i + 1]])
+    kept = [transform_points(pose, drive.points[drive.first[i] : drive.first[i + 1], :2])
             for pose, i in zip(path, near, strict=True)]  # fmt: skip
     points = np.concatenate(kept)
     # One point for each cell: walls seen often do not outvote others. The cells hit most often are walls; people and

@@ -6,7 +6,7 @@ import numpy as np
 
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import SensorLog
+from beamfield.sensors import SensorLog, usable_ranges
 
 # So many scans tell enough.
 SCANS = 200
@@ -25,8 +25,8 @@ def require_metres(log: SensorLog, grid: OccupancyGrid) -> None:
     InvalidInputError
         If half of the readings that hit something are longer than the map's diagonal, or shorter than a cell.
     """
-    ranges = log.ranges[:: max(1, len(log) // SCANS)]
-    hits = ranges[np.isfinite(ranges) & (ranges < log.finder.max_range)]
+    ranges = usable_ranges(log.ranges[:: max(1, len(log) // SCANS)], log.finder)
+    hits = ranges[ranges < log.finder.max_range]
     if not len(hits):
         return
     middle = float(np.median(hits))

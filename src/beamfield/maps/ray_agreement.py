@@ -89,13 +89,38 @@ def scan_agreement(
     """
     scans = _spread(np.flatnonzero(np.isfinite(poses).all(axis=1)), most)
     z, expected = _readings(log, caster or RayCaster(grid), poses[scans], scans)
-    read, most_range = np.isfinite(z), log.finder.max_range
-    should, does = read & (expected < most_range), read & (z < most_range)
-    agrees = should & (np.abs(z - expected) <= _tolerance(grid, expected))
-    counted = np.maximum(should.sum(axis=1), EXPECTED * does.sum(axis=1))
+    counted = _counted(z, expected, log.finder.max_range)
+    agrees = (expected < log.finder.max_range) & (np.abs(z - expected) <= _tolerance(grid, expected))
     shares: FloatArray = np.full(len(log), np.nan)
     shares[scans] = np.where(counted > 0.0, agrees.sum(axis=1) / np.maximum(counted, 0.5), np.nan)
     return shares
+
+
+def passing_shares(z: FloatArray, expected: FloatArray, grid: OccupancyGrid, max_range: float) -> FloatArray:
+    """Return the share of a scan's beams that would have passed through a wall, at many poses.
+
+    Parameters
+    ----------
+    z
+        (k,) readings, metres; max_range where nothing returned.
+    expected
+        (n, k) ranges by the map.
+    grid, max_range
+        The map, and the sensor's range, metres.
+
+    Returns
+    -------
+    (n,) shares of the beams counted by `scan_agreement`; 0 where there are none.
+    """
+    passes = ((expected < max_range) & (z - expected > _tolerance(grid, expected))).sum(axis=1)
+    return np.asarray(passes / np.maximum(_counted(z, expected, max_range), 0.5))
+
+
+def _counted(z: FloatArray, expected: FloatArray, max_range: float) -> FloatArray:
+    """Return how many beams should hit something, or three quarters of those that do where that is more."""
+    read = np.isfinite(z)
+    should, does = (read & (expected < max_range)).sum(axis=-1), (read & (z < max_range)).sum(axis=-1)
+    return np.asarray(np.maximum(should, EXPECTED * does))
 
 
 def _readings(

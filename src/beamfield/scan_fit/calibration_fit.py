@@ -74,9 +74,9 @@ def fit_of_calibration(calibration: Calibration, grid: OccupancyGrid | CrossFitM
         reference = calibrate_scan_fit(
             model, log, selection=options.selection, block_s=options.block_s, statistics=statistics
         )
+        fits = judge_log(model, log, reference, is_own=True, statistics=statistics)
     except (TooLittleDataError, InvalidInputError) as error:
         return CalibrationFit(missing=str(error))
-    fits = judge_log(model, log, reference, is_own=True, statistics=statistics)
     if np.isnan(fits.p_value).all():
         return CalibrationFit(missing="no scan could be judged")
     return CalibrationFit(fits, reference)

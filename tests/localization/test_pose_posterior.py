@@ -92,6 +92,14 @@ def test_a_map_is_covered_where_it_is_free():
     assert not lattice.inside[:2].any()
 
 
+@pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (1e5, -1e5, 0.0), (3.1, -7.3, 0.4)])
+def test_which_cells_are_free_does_not_depend_on_where_the_map_is(origin, rng):
+    """At twice the map's resolution, every centre lies on borders of cells."""
+    values = 100 * (rng.random((40, 60)) < 0.3).astype(np.int8)
+    lattice = PoseLattice.over_map(OccupancyGrid.from_ros(values, 0.05, origin), resolution=0.1, headings=4)
+    assert np.array_equal(lattice.inside, values[1::2, 1::2] == 0)
+
+
 def test_a_full_turn_is_covered_once():
     lattice = PoseLattice.around(CENTRE, reach=0.1, resolution=0.1, heading_reach=np.pi, heading_step=0.4)
     assert len(lattice.headings) == 16
@@ -122,7 +130,7 @@ def test_an_impossible_measurement_has_no_posterior():
     ("build", "message"),
     [
         (lambda grid: PoseLattice.over_map(grid, resolution=0.0), "expected a positive number .*, got 0"),
-        (lambda grid: PoseLattice.over_map(grid), "expected at least one cell"),
+        (lambda grid: PoseLattice.over_map(grid), "expected a map with free cells"),
         (lambda grid: PoseLattice.over_map(grid, resolution=1e-3, headings=3600), "more than 55,555"),
         (
             lambda _: PoseLattice.around(CENTRE, reach=0.1, resolution=0.2, heading_reach=1.0, heading_step=0.1),

@@ -178,7 +178,7 @@ def likelihood_map(
     check_takes_poses_alone(model)
     shape = lattice_shape(grid, resolution, MAX_CELLS)
     as_count(headings, "headings", least=1, most=MAX_HEADINGS)
-    mask = _free_cells(grid, shape, resolution)
+    mask = free_cells(grid, shape, resolution)
     rows, cols = np.nonzero(mask)
     angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
     values, index = np.full(shape, -np.inf), np.full(shape, -1, np.int16)
@@ -207,7 +207,7 @@ def lattice_shape(grid: OccupancyGrid, resolution: float, most: int) -> tuple[in
     return int(rows), int(cols)
 
 
-def _free_cells(grid: OccupancyGrid, shape: tuple[int, int], resolution: float) -> BoolArray:
+def free_cells(grid: OccupancyGrid, shape: tuple[int, int], resolution: float) -> BoolArray:
     """Return which cells (rows, cols) of the lattice have a centre in a free cell of the map."""
     # A centre on a border belongs to the cell above, as everywhere; the last one may lie past the map's edge.
     rows, cols = (np.floor((np.arange(n) + 0.5) * resolution / grid.resolution + 1e-9).astype(np.int64) for n in shape)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from beamfield.arguments import as_count, check_fields, checked, require
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
-from beamfield.localization.likelihood_map import lattice_shape
+from beamfield.localization.likelihood_map import free_cells, lattice_shape
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel, check_takes_poses_alone
 from beamfield.short_repr import short_repr
@@ -93,13 +93,13 @@ class PoseLattice:
         Raises
         ------
         InvalidInputError
-            As for the class.
+            As for the class, or if no cell is free.
         """
         as_count(headings, "headings", least=1, most=MAX_POSES)
         rows, cols = lattice_shape(grid, resolution, MAX_POSES // headings)
         angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
-        every = cls(grid.origin, resolution, np.ones((rows, cols), np.bool_), angles, 2.0 * np.pi / headings)
-        return replace(every, inside=grid.look_up(grid.free, every.centres()).reshape(rows, cols))
+        inside = free_cells(grid, (rows, cols), resolution)
+        return cls(grid.origin, resolution, inside, angles, 2.0 * np.pi / headings)
 
     @classmethod
     @checked
@@ -132,7 +132,7 @@ class PoseLattice:
                 f"reach, heading_reach: expected at least one positive step, got {reach} / {resolution}, "
                 f"{heading_reach} / {heading_step}"
             )
-        if not (reach / resolution) ** 2 * max(1.0, min(heading_reach, np.pi) / heading_step) <= MAX_POSES:
+        if not 4.0 * (reach / resolution) ** 2 * max(1.0, 2.0 * min(heading_reach, np.pi) / heading_step) <= MAX_POSES:
             raise InvalidInputError(f"resolution, heading_step: these make more than {MAX_POSES:,} poses")
         n = 2 * round(reach / resolution) + 1
         if heading_reach >= np.pi:

@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -204,8 +205,12 @@ class _FoundPlace:
     """Tells by the scans since a robot was found whether it is there."""
 
     def __init__(self, log: SensorLog, grid: OccupancyGrid) -> None:
-        self._log, self._grid, self._caster = log, grid, RayCaster(grid)
+        self._log, self._grid = log, grid
         self._shares = deque[float](maxlen=JUDGED_SCANS)
+
+    @cached_property
+    def _caster(self) -> RayCaster:
+        return RayCaster(self._grid)
 
     def is_proven(self, n_scans: int) -> bool:
         """Return whether so many scans have not contradicted it; cones of a sonar tell nothing."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,13 @@ def test_readings_that_are_too_short_and_beams_without_measurement_cost_nothing(
 def test_a_scan_counts_as_much_however_few_its_beams_are():
     scan = Scan(np.full(10, 0.9), FINDER)
     assert CoarseModel(GRID).log_likelihood(scan, MIDDLE) == CoarseModel(GRID, 10).log_likelihood(scan, MIDDLE)
+
+
+def test_cones_of_a_sonar_that_miss_walls_cost_nothing():
+    sonar = replace(FINDER, opening_angle=0.3)
+    missed = Scan(np.full(10, np.inf), sonar)
+    assert CoarseModel(GRID).log_likelihood(missed, MIDDLE) == 0.0
+    assert CoarseModel(GRID).log_likelihood(Scan(missed.ranges, FINDER), MIDDLE) == pytest.approx(-9.0)
 
 
 def test_many_poses_are_weighed_in_batches_as_one_by_one(rng, monkeypatch):

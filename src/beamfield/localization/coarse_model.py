@@ -37,7 +37,7 @@ class CoarseModel:
     For a robot that can be anywhere on a map that is not quite right. End points alone take a place amid racks or
     clutter for the right one, since a field sees through walls; the beam model gives up the right place where walls are
     drawn too thick or too near. This model lets half of a scan's beams pass walls for nothing, then each tenth costs
-    1.8 nats. A scan counts as 1.8 independent beams.
+    1.8 nats. A scan counts as 1.8 independent beams. Of cones only the ends count: walls seen askew send no echo back.
 
     Parameters
     ----------
@@ -102,6 +102,8 @@ class CoarseModel:
         places = as_poses(poses)
         scan = z.every(self.n_beams)
         values: FloatArray = min(1.0, WORTH / len(scan.ranges)) * self._field.log_likelihood(scan, places)
+        if scan.finder.opening_angle > 0.0:
+            return values
         ranges = usable_ranges(scan.ranges, scan.finder)
         measured = np.flatnonzero(~np.isnan(ranges))
         ranges, finder = ranges[measured], scan.finder.subset(measured)

@@ -351,6 +351,8 @@ def test_an_error_stays_while_other_answers_come(browser, serve, grid, log):
     context = browser.new_context()
     page = context.new_page()
     page.goto(serve(Session(still, grid, typical_sets(grid, log.finder))))
+    # Nobody listens to a button before the first answer is shown.
+    sync_api.expect(page.locator("tbody td:nth-child(3)").first).to_have_text("0.0", timeout=20_000)
     page.get_by_role("button", name="Run filter").click()
     trouble = page.locator(".trouble")
     sync_api.expect(trouble).to_contain_text("no odometry")

@@ -14,7 +14,7 @@ from beamfield.models.beam_density import read_only
 # A table takes as long as the formulas take longer than looking up at 5,000 poses, for any sensor and any parameters.
 POSES_WITH_TABLE = 10_000
 # A piece may be so far off, in nats, at the two shares of it where that is measured; elsewhere it is off a little more.
-CLOSE_ENOUGH = 4e-5
+CLOSE_ENOUGH = 2e-5
 MEASURED_AT = np.array([0.21, 0.79])
 # Short pieces reach so many sigma from the reading. With at least LEAST_RAND, hits beyond are below 1e-6 of the other
 # readings; with an offset or a slope beyond the others, pieces as long could be off unnoticed.

@@ -74,6 +74,13 @@ class TestBeamSurprise:
             noise = values.std() / np.sqrt(len(values))
             assert abs(values.mean()) < 4.0 * noise + 0.004
 
+    @pytest.mark.parametrize(("z_star", "lambda_short"), [(300.0, 1.0), (900.0, 5.0), (30.0, 0.2)])
+    def test_expectations_hold_where_short_readings_are_near_and_the_limit_is_far(self, z_star, lambda_short, rng):
+        parameters = BeamParameters(0.6, 0.3, 0.02, 0.08, 0.05, lambda_short)
+        drawn = np.full(400_000, z_star)
+        beams = beam_surprise(sample_beams(drawn, 1000.0, parameters, rng), drawn, 1000.0, parameters)
+        assert abs(beams.excess.mean()) < 4.0 * beams.excess.std() / np.sqrt(len(drawn)) + 0.001
+
     def test_one_impossible_reading_counts_no_more_than_a_wrong_one(self):
         never_max = BeamParameters(0.9, 0.05, 0.0, 0.05, 0.05, 0.5)
         beams = beam_surprise(np.array([12.0]), np.array([3.0]), 12.0, never_max)

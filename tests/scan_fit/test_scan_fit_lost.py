@@ -74,6 +74,11 @@ class TestEvidence:
             0,
         ]
 
+    def test_without_values_on_one_side_there_is_no_evidence(self):
+        nothing, some = np.full(5, np.nan), np.arange(5.0)
+        for good, lost in [(nothing, some), (some, nothing), (nothing, nothing)]:
+            assert learn_evidence(good, lost, n_good=5, n_lost=5, correlation_s=1.0)([1.0, 9.0]).tolist() == [0, 0]
+
     def test_the_correlation_time_of_an_autoregression_is_found(self, rng):
         x = np.zeros(20_000)
         for i in range(1, len(x)):

@@ -78,10 +78,12 @@ def learn_evidence(
 
     Returns
     -------
-    The log ratio at the middles of the pooled bins, not falling.
+    The log ratio at the middles of the pooled bins, not falling; 0 everywhere if one side has no value.
     """
     ok, bad = (np.asarray(v, dtype=np.float64) for v in (good, lost))
     ok, bad = ok[~np.isnan(ok)], bad[~np.isnan(bad)]
+    if len(ok) == 0 or len(bad) == 0:
+        return LostEvidence(np.zeros(1), np.zeros(1), correlation_s)
     levels = np.linspace(0.0, 1.0, N_BINS + 1)
     edges = np.unique(np.concatenate([np.quantile(ok, levels), np.quantile(bad, levels)]))
     if len(edges) < 2:

@@ -183,14 +183,16 @@ def _nodes(parameters: BeamParameters, max_range: float, min_range: float) -> Fl
 def _quadrature(
     nodes: FloatArray, parameters: BeamParameters, max_range: float, min_range: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return readings and weights (n, q) of a composite Gauss rule whose pieces follow the hit's peak."""
+    """Return readings and weights (n, q) of a composite Gauss rule whose pieces follow the hit's peak and the decay."""
     sigma = np.hypot(parameters.sigma_hit, parameters.sigma_slope * nodes)[:, None]
     mean = nodes[:, None] + parameters.range_offset
     around = mean + sigma * np.array([-8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2, -1.5, -1, -0.5, 0, 0.5, 1, 1.5, 2, 2.5,
                                       3.0, 4.0, 5.0, 6.0, 8.0])  # fmt: skip
     even = np.broadcast_to(np.linspace(min_range, max_range, 17), (len(nodes), 17))
     wall = np.maximum(nodes[:, None], min_range + SHORTEST_SUPPORT)
-    edges = np.sort(np.clip(np.hstack([even, around, wall]), min_range, max_range), axis=1)
+    decay = min_range + np.array([1.0, 3.0, 6.0, 12.0, 24.0]) / max(parameters.lambda_short, 1.0 / max_range)
+    decay = np.broadcast_to(decay, (len(nodes), len(decay)))
+    edges = np.sort(np.clip(np.hstack([even, around, wall, decay]), min_range, max_range), axis=1)
     half = 0.5 * np.diff(edges, axis=1)[..., None]
     z = (0.5 * (edges[:, 1:] + edges[:, :-1])[..., None] + half * GAUSS[0]).reshape(len(nodes), -1)
     weight = (half * GAUSS[1]).reshape(len(nodes), -1)

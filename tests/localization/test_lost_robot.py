@@ -11,6 +11,8 @@ from beamfield.localization.lost_robot import find_lost_robot
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, SensorLog
+from tests.pillar_hall import POSES as HALL_POSES
+from tests.pillar_hall import drive, hall
 
 FINDER = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 20), 20.0)
 CELLS = np.zeros((100, 200))
@@ -38,6 +40,13 @@ def test_a_robot_is_lost_whose_scans_agree_by_less_than_45_percent():
     assert lost.values == {
         "median_agreement": pytest.approx(0.4), "path_length_m": pytest.approx(7.0), "turn_rad": pytest.approx(2.0),
     }  # fmt: skip
+
+
+def test_one_whose_scans_agree_far_better_there_than_anywhere_near_is_not_lost_its_map_is_out_of_date():
+    found = find_lost_robot(drive(hall(), 25), hall(), HALL_POSES)
+    assert found is not None
+    assert found.name == "map-out-of-date"
+    assert find_lost_robot(drive(hall(0), 25), hall(0), HALL_POSES).name == "robot-lost"
 
 
 def test_where_nothing_can_be_compared_nobody_is_lost():

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between, compose, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.outdated_map import find_outdated_map
 from beamfield.maps.ray_agreement import LEAST_AGREEMENT, scan_agreement
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.motion import odometry_jumps
@@ -64,7 +65,7 @@ def map_findings(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
                 "is right.",
             )
         return
-    yield Finding(
+    yield find_outdated_map(log, grid, log.poses) or Finding(
         "map-disagrees",
         "warning",
         f"At the reference poses, {int(100.0 * median)}% of a scan's readings agree with the map (median; expected "

@@ -68,8 +68,9 @@ def judge_fitted(job: CalibrationJob, fitted: CrossFittedPoses, grid: OccupancyG
             results[name] = calibrate(log, grid, plain)
             job.progress("learning from the other beams", len(results) - 1, 2)
     error = job.arguments.reference_error
-    findings = fitted.findings(fitted_poses_sentence(fitted, error))
-    sentence = findings[0].full_text
+    said, *others = fitted.findings(fitted_poses_sentence(fitted, error))
+    sentence, known = said.full_text, {finding.name for finding in result.findings}
+    findings = (said, *(finding for finding in others if finding.name not in known))
     return ReportPart(
         NAME, f"{sentence} What was measured about the fit: report.html, {TITLE!r}.",
         fitted_poses_as_dict(fitted, results, error),

@@ -150,8 +150,9 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
     from beamfield.stacks.registry import STACKS
     from beamfield.stacks.stack import FIELD_PRODUCT
 
-    if any(finding.name == "map-disagrees" for finding in result.findings):
-        raise TooLittleDataError(DOUBTS["map-disagrees"])
+    for finding in result.findings:
+        if finding.name in ("map-disagrees", "map-out-of-date"):
+            raise TooLittleDataError(DOUBTS[finding.name])
     arguments, file = job.arguments, job.patched
     stack = STACKS[arguments.stack]
     models = tuple(stack.models) if arguments.model is None else (arguments.model,)

@@ -227,8 +227,7 @@ def _disagreement(given: _Inputs) -> str:
     from beamfield.calibration.reference_checks import map_findings
     from beamfield.report.verdict import DOUBTS
 
-    names = {finding.name for finding in map_findings(given.log, given.grid)}
-    return DOUBTS["map-disagrees"] if "map-disagrees" in names else ""
+    return next((DOUBTS[one.name] for one in map_findings(given.log, given.grid) if one.name in DOUBTS), "")
 
 
 def _reference(

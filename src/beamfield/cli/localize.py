@@ -125,7 +125,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         is_sonar = log.finder.opening_angle > 0.0
         more = [lost] if lost is not None else [lost_not_judged()] if is_sonar else []
         found = replace(found, findings=worst_first((*found.findings, *time_gaps(log.stamps), *more)))
-        errors = _judged(found, log, since if lost is None else 0)
+        errors = _judged(found, log, 0 if lost is not None and lost.name == "robot-lost" else since)
         progress("drawing", 0, 1)
         document = {"provenance": provenance(arguments), "filter": which, **run_facts(found, errors, log, start)}
         names, recorded = _write(found, log, grid, film, document, arguments)

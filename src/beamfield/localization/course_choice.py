@@ -40,6 +40,13 @@ MOST_COST = 4.6
 # short, random, or of what the map does not show), and it costs less than any other without jumps (by at most 0.7, and
 # 1.0 and more), and no more than this beyond any with jumps.
 AGREES_MORE, COSTS_LESS, MOST_BEYOND = 0.08, 0.9, 1.0
+# That was in logs of two minutes; means over fewer scans held to the map scatter more. Of 90 logs of 12 s in maps of
+# other buildings one stands out by 0.19 and 1.0 nats.
+MANY_SCANS = 560
+# If it stands out by this much, half of its beams need not agree: the map is out of date. In maps of other buildings
+# courses stand out by at most 0.06 and 1.3 nats in logs of two minutes, and 0.17 and 2.2 or 0.09 and 3.4 in those of
+# 12 s; in maps that lack much of an office by at least 0.19 and 5.3 (benchmarks/other_maps.py).
+AGREES_FAR_MORE, COSTS_FAR_LESS = 0.15, 4.0
 # A start that is given is believed against a worse fit, without jumps.
 MOST_COST_FROM_START = 9.0
 # Two courses whose costs and misfits differ by less, in nats, are equally likely.
@@ -134,7 +141,7 @@ def choose_course(
         judged = search(log, steps, put_right)
         first = first or tuple(one for one, _ in judged[:2])
         if judged[0][0].misfit > (MOST_COST if len(judged[0][1].jumps) else limit):
-            judged = _standing_out(judged, start)
+            judged = standing_out(judged, start, len(drive.scans))
         if not judged:
             continue
         hypotheses = tuple(one for one, _ in judged[:2])
@@ -190,19 +197,31 @@ def without_false_jumps(
     return course
 
 
-def _standing_out(judged: list[Judged], start: FloatArray | None) -> list[Judged]:
+def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -> list[Judged]:
     """Return the courses without jumps if the first is beyond doubt though its readings fit the map poorly, or none.
 
-    Where a start is given, there need not be another that begins there.
+    Parameters
+    ----------
+    judged
+        Courses, the cheapest first.
+    start
+        (3,) where the first scan was taken, if that is given: there need not be another course that begins there.
+    n_scans
+        How many scans were held to the map.
     """
     best, *others = sorted(judged, key=lambda pair: len(pair[1].jumps) > 0)
     jumping = min((one.cost for one, course in others if len(course.jumps)), default=np.inf)
     steady = min((one.cost for one, course in others if not len(course.jumps)), default=np.inf)
+    more = best[0].agrees - max((one.agrees for one, _ in others), default=0.0)
+    less, few = steady - best[0].cost, max(1.0, float(np.sqrt(MANY_SCANS / n_scans)))
     undoubted = (
         not len(best[1].jumps)
-        and best[0].agrees >= max([LEAST_AGREEMENT, *(one.agrees + AGREES_MORE for one, _ in others)])
         and (np.isfinite(steady) or start is not None)
-        and best[0].cost <= min(steady - COSTS_LESS, jumping + MOST_BEYOND)
+        and best[0].cost <= jumping + MOST_BEYOND
+        and (
+            (best[0].agrees >= LEAST_AGREEMENT and more >= few * AGREES_MORE and less >= few * COSTS_LESS)
+            or (np.isfinite(steady) and more >= AGREES_FAR_MORE and less >= COSTS_FAR_LESS)
+        )
     )
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
 

@@ -7,6 +7,7 @@ import numpy as np
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.outdated_map import find_outdated_map
 from beamfield.maps.ray_agreement import LEAST_AGREEMENT, scan_agreement
 from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog
@@ -16,7 +17,7 @@ MOST_JUMPS = 0.1
 
 
 def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Finding | None:
-    """Return a warning if most readings of most scans disagree with the map, or the odometry cannot be followed.
+    """Return a warning if the robot is elsewhere, the map is out of date, or the odometry cannot be followed.
 
     Parameters
     ----------
@@ -27,7 +28,8 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
 
     Returns
     -------
-    The warning; None if scans agree, or if there is nothing to tell by: no reading, or cones of a sonar.
+    The warning, "robot-lost" or "map-out-of-date"; None if scans agree, or if there is nothing to tell by: no reading,
+    or cones of a sonar.
     """
     known = np.isfinite(log.odometry).all(axis=1)
     odometry, stamps = log.odometry[known], log.stamps[known]
@@ -40,6 +42,8 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
     shares = scan_agreement(log, grid, poses)
     if np.isnan(shares).all() or float(np.nanmedian(shares)) >= LEAST_AGREEMENT:
         return None
+    if (outdated := find_outdated_map(log, grid, poses)) is not None:
+        return outdated
     median = float(np.nanmedian(shares))
     way, turn = float(np.hypot(*steps[:, :2].T).sum()), float(np.abs(steps[:, 2]).sum())
     return Finding(

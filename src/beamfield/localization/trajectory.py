@@ -20,6 +20,7 @@ from beamfield.localization.trajectory_start import Course
 from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.outdated_map import find_outdated_map
 from beamfield.maps.range_scale import require_metres
 from beamfield.sensors import SensorLog, Track
 from beamfield.short_repr import short_repr
@@ -226,6 +227,8 @@ def fit_course(
     of_wheels = () if log.has_odometry else ("wheel-slip", "odometry-scale")
     seen = (one for one in odometry_findings(drive, found.course, fitted) if one.name not in of_wheels)
     findings = [*found.findings, *seen, *more]
+    if (outdated := find_outdated_map(log, grid, fitted.poses)) is not None:
+        findings.append(outdated)
     return _result(log, fitted, trusted, findings, found.hypotheses)
 
 

@@ -15,6 +15,7 @@ from beamfield.stacks.doctor.subject import MapFile
 from beamfield.stacks.files.calibration_record import record_text, with_record
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.nav2.parameters import Nav2Parameters
+from tests.pillar_hall import drive, hall
 
 N_BEAMS = 120
 
@@ -167,6 +168,7 @@ FINDINGS = {
                       {}, {"grid": room(), "log": scans(walls(), poses=MIDDLE)}),
     "map-disagrees-in-part": ({}, {"grid": room(), "log": scans(wrong_in(3), poses=MIDDLE)},
                               {}, {"grid": room(), "log": scans(wrong_in(2), poses=MIDDLE)}),
+    "map-out-of-date": ({}, {"grid": hall(), "log": drive(hall(), 30)}, {}, {"grid": hall(), "log": drive(hall(), 22)}),
     "nearly-flat": ({}, {}, {"laser_model_type": "likelihood_field_prob"}, {}),
     "absurdly-sharp": ({"laser_model_type": "likelihood_field_prob", "sigma_hit": 0.05, "z_hit": 0.99, "z_rand": 0.01},
                        {}, {"laser_model_type": "likelihood_field_prob", "max_beams": 10, "z_rand": 5.0}, {}),

@@ -20,13 +20,15 @@ OPEN_EDGE_SHARE = 0.002
 
 
 def disagreement(subject: Subject) -> Iterator[Finding]:
-    """Find that the map is not one of where the log was recorded, or is mirrored, or is wrong in part."""
+    """Find that the map is not one of where the log was recorded, is mirrored, out of date, or wrong in part."""
     if subject.grid is None or subject.log is None:
         return
     for found in map_findings(subject.log, subject.grid):
         told = found.text, found.why, found.do
         if found.name == "map-disagrees":
             yield subject.finding("map-disagrees", "warning", *told, values=found.values)
+        elif found.name == "map-out-of-date":
+            yield subject.finding("map-out-of-date", "warning", *told, values=found.values)
         else:
             yield subject.finding("map-disagrees-in-part", "warning", *told, values=found.values)
 

@@ -1,0 +1,62 @@
+"""A map that no longer shows the place: most readings disagree with it, though the poses are right."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beamfield.finding import Finding
+from beamfield.geometry import FloatArray
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.ray_agreement import LEAST_AGREEMENT, scan_agreement
+from beamfield.maps.raycast import RayCaster
+from beamfield.sensors import SensorLog
+
+# The map is out of date where at least this share of a scan's readings agrees, and so many times as many as beside the
+# poses, up to 2 m away. At poses that are right, in maps that lack much of an office: 0.28 and 3.1 times or more. In
+# maps of other buildings or with wrong odometry, of runs in which a quarter agrees: 1.8 times or less
+# (benchmarks/other_maps.py and lost_robot.py).
+LEAST, TIMES = 0.25, 2.5
+BESIDE, DIRECTIONS = (0.5, 1.0, 2.0), 8
+
+
+def find_outdated_map(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Finding | None:
+    """Return a warning if most readings disagree with the map, but the poses are right all the same.
+
+    Parameters
+    ----------
+    log, grid
+        The scans and the map.
+    poses
+        (t, 3) where the scans were taken; NaN where that is not known.
+
+    Returns
+    -------
+    The warning; None if most readings agree, or nothing shows that the poses are right. They are where far fewer
+    readings would agree a little way off, in any direction.
+    """
+    caster = RayCaster(grid)
+    agrees = _median(log, grid, poses, caster)
+    if not LEAST <= agrees < LEAST_AGREEMENT:
+        return None
+    angles = 2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)
+    steps = [r * np.array([np.cos(angle), np.sin(angle), 0.0]) for r in BESIDE for angle in angles]
+    beside = max(_median(log, grid, poses + step, caster) for step in steps)
+    if agrees < TIMES * beside:
+        return None
+    return Finding(
+        "map-out-of-date",
+        "warning",
+        f"{int(100.0 * agrees)}% of a scan's readings agree with the map (median; expected {LEAST_AGREEMENT:.0%} or "
+        f"more), and {int(100.0 * beside)}% at most would {BESIDE[0]:g} to {BESIDE[-1]:g} m away: the poses are right, "
+        "the map is out of date.",
+        {"median_agreement": agrees, "agreement_beside": beside},
+        why="What was moved since misleads a robot sooner or later; a calibration takes it for noise of the sensor.",
+        do="Map the place anew.",
+    )
+
+
+def _median(log: SensorLog, grid: OccupancyGrid, poses: FloatArray, caster: RayCaster) -> float:
+    """Return the agreement of the median scan; 0 if there is nothing to compare."""
+    shares = scan_agreement(log, grid, poses, caster=caster)
+    shares = shares[np.isfinite(shares)]
+    return float(np.median(shares)) if len(shares) else 0.0

@@ -1,0 +1,58 @@
+"""Which courses are believed though their readings fit the map poorly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beamfield.localization.course_choice import Judged, StartHypothesis, standing_out
+from beamfield.localization.trajectory_start import Course
+
+START = np.zeros(3)
+LONG, SHORT = 560, 140
+
+
+def judged(cost: float, agrees: float, n_jumps: int = 0) -> Judged:
+    course = Course(np.zeros((2, 3)), cost, np.arange(n_jumps, dtype=np.int64), np.zeros(2, np.int64))
+    return StartHypothesis(np.zeros(3), cost, agrees, 0.3), course
+
+
+# Cost and share of agreeing beams of the first course, and of the next.
+@pytest.mark.parametrize(
+    ("first", "other", "n_scans", "is_believed"),
+    [
+        # Enough beams agree, more than on the other, which costs more.
+        ((7.0, 0.45), (7.9, 0.37), LONG, True),
+        ((7.0, 0.44), (7.9, 0.36), LONG, False),
+        ((7.0, 0.45), (7.9, 0.38), LONG, False),
+        ((7.0, 0.45), (7.8, 0.37), LONG, False),
+        # Of a quarter of the scans, twice as much is asked.
+        ((7.0, 0.55), (8.8, 0.39), SHORT, True),
+        ((7.0, 0.55), (8.7, 0.39), SHORT, False),
+        ((7.0, 0.55), (8.8, 0.40), SHORT, False),
+        # Few agree, since the map is out of date; but far fewer on the other, which costs far more.
+        ((12.0, 0.30), (16.0, 0.15), LONG, True),
+        ((12.0, 0.30), (16.0, 0.15), SHORT, True),
+        ((12.0, 0.30), (15.9, 0.15), LONG, False),
+        ((12.0, 0.30), (16.0, 0.16), LONG, False),
+    ],
+)
+def test_a_course_is_believed_by_how_it_stands_out_among_others(first, other, n_scans, is_believed):
+    courses = [judged(*first), judged(*other)]
+    assert standing_out(courses, None, n_scans) == (courses if is_believed else [])
+
+
+@pytest.mark.parametrize("first", [(7.0, 0.5), (12.0, 0.4)])
+def test_one_with_jumps_that_costs_clearly_less_speaks_against_it(first):
+    cost, agrees = first
+    steady, other = judged(cost, agrees), judged(cost + 4.0, agrees - 0.2)
+    for less, is_believed in ((1.0, True), (1.1, False)):
+        courses = [judged(cost - less, agrees - 0.2, n_jumps=1), steady, other]
+        assert standing_out(courses, None, LONG) == ([steady, other] if is_believed else [])
+    assert standing_out([judged(cost, agrees, n_jumps=1), judged(cost + 4.0, 0.1, n_jumps=1)], None, LONG) == []
+
+
+def test_the_only_course_needs_a_start_and_beams_that_agree():
+    assert standing_out([judged(7.0, 0.5)], None, LONG) == []
+    assert standing_out([judged(7.0, 0.5)], START, LONG) != []
+    assert standing_out([judged(7.0, 0.44)], START, LONG) == []

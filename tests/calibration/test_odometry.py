@@ -10,7 +10,7 @@ from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
 from beamfield.calibration.odometry.findings import odometry_findings
-from beamfield.calibration.odometry.learning import calibrate_odometry
+from beamfield.calibration.odometry.learning import calibrate_odometry, learn_systematic_errors
 from beamfield.calibration.odometry.noise_family import DIFFERENTIAL, GAUSSIAN, OMNI
 from beamfield.calibration.odometry.noise_fit import fit_levels
 from beamfield.calibration.odometry.result import Estimate, OdometryCalibration, OdometryOptions
@@ -114,6 +114,12 @@ def test_each_systematic_error_has_the_sign_and_size_of_its_definition(name, err
     result = calibrate_odometry(log_of(chained(true), chained(steps)), EVERY_SCAN)
     for key, estimate in result.systematic.items():
         assert estimate.value == pytest.approx(0.01 if key == name else 0.0, abs=1e-3), key
+
+
+def test_noise_of_the_heading_which_shortens_paths_is_no_scale_of_distances():
+    logs = [amcl_log((0.05,) * 4, seed, n=400) for seed in range(12)]
+    scales = [learn_systematic_errors(log).errors["distance_scale"].value for log in logs]
+    assert np.mean(scales) == pytest.approx(0.0, abs=0.013)
 
 
 def test_what_a_drive_does_not_show_is_left_out():
@@ -247,14 +253,16 @@ def test_covariances_of_poses_take_the_place_of_one_error_for_all():
 
 
 @pytest.mark.parametrize("model", [DifferentialMotion(0.01, 0.01, 0.02, 0.02)])
-def test_the_covariance_of_a_window_is_that_of_its_draws(model):
+def test_mean_and_covariance_of_a_window_are_those_of_its_draws(model):
     odometry = chained(drive(np.random.default_rng(7), 20))
     windows = cut_odometry_windows(odometry, odometry, np.zeros((21, 3, 3)), np.arange(21), 8)
-    drawn = np.tile(odometry[0], (20_000, 1))
+    drawn = np.tile(odometry[0], (200_000, 1))
     rng = np.random.default_rng(8)
     for i in range(8):
         drawn = model.sample(drawn, odometry[i : i + 2], rng)
-    seen = np.cov(between(odometry[0], drawn).T)
+    seen, less = np.cov(between(odometry[0], drawn).T), (between(odometry[0], drawn) - windows.motion[0]).mean(axis=0)
+    assert np.hypot(*less[:2]) > 0.006
+    np.testing.assert_allclose(windows.shortening(model)[0, :2], less[:2], atol=0.0006)
     computed = windows.covariance(model)[0]
     scale = np.sqrt(np.outer(np.diag(seen), np.diag(seen)))
     np.testing.assert_allclose(computed / scale, seen / scale, atol=0.06)

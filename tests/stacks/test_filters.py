@@ -23,6 +23,7 @@ from beamfield.stacks.filters.particles import (
     draw_by_weight,
     normal_poses,
     particle_moments,
+    reweighed,
     uniform_poses,
 )
 from beamfield.stacks.filters.recovery import WeightAverages
@@ -68,9 +69,11 @@ def test_limits_are_those_of_foxs_formula():
     assert limits[1:].tolist() == [limit_by_hand(k, 0.05, 0.99) for k in range(2, 51)]
 
 
+# Maps may lie far from their frame's origin, as in UTM coordinates.
+@pytest.mark.parametrize("centre", [(0.0, 0.0), (5e5, 5.4e6)])
 @pytest.mark.parametrize("spread", [0.2, 2.0])
-def test_particles_are_enough_where_a_loop_over_them_says_so(rng, spread):
-    poses = rng.normal(0.0, spread, (1500, 3))
+def test_particles_are_enough_where_a_loop_over_them_says_so(rng, spread, centre):
+    poses = rng.normal((*centre, 0.0), spread, (1500, 3))
     limits = np.clip(kld_limits(1500, 0.05, 0.99), 100, 1500)
     bins: set[tuple[int, ...]] = set()
     enough = len(poses)
@@ -98,6 +101,13 @@ def test_clusters_are_the_connected_bins_of_an_image(rng):
 def test_headings_that_differ_by_a_full_turn_are_of_different_clusters():
     poses = np.array([[0.1, 0.1, 0.01], [0.1, 0.1, 0.01 + 2.0 * np.pi]])
     assert Histogram(poses, BINS).clusters().tolist() == [0, 1]
+
+
+def test_weights_beyond_the_largest_double_count_by_their_ratio():
+    weights, total = reweighed(np.array([0.5, 0.25, 0.25]), np.log([1.0, 2.0, 4.0]) + 900.0)
+    assert weights.tolist() == pytest.approx([0.25, 0.25, 0.5])
+    assert total == np.inf
+    assert reweighed(np.array([0.5, 0.5]), np.array([-np.inf, -np.inf]))[0].tolist() == [0.5, 0.5]
 
 
 def test_draws_follow_the_weights(rng):

@@ -9,19 +9,25 @@ from beamfield.kernels.jit import kernel
 
 Integers = NDArray[np.int64]
 
-# Bins beyond this are one: none is so far out while poses are sane.
+# Bins farther than this from the base are one: none is so far out while poses are sane.
 FARTHEST_BIN = 1 << 19
 # What a step of one bin in x, y and heading adds to a bin's code.
 STEPS = (1 << 42, 1 << 21, 1)
 
 
 @kernel
-def fill_codes(poses: NDArray[np.float64], sizes: NDArray[np.float64], codes: Integers) -> None:
-    """Number the bins of poses (n, 3), with sides (3,), by codes (n,): equal for poses of one bin only."""
+def fill_codes(
+    poses: NDArray[np.float64], sizes: NDArray[np.float64], base: NDArray[np.float64], codes: Integers
+) -> None:
+    """Number the bins of poses (n, 3), with sides (3,), by codes (n,): equal for poses of one bin only.
+
+    The bin of the pose `base` (3,) is the one in the middle: maps may lie far from their frame's origin.
+    """
     for i in range(len(poses)):
         code = 0
         for axis in range(3):
-            place = min(max(np.floor(poses[i, axis] / sizes[axis]), -FARTHEST_BIN), FARTHEST_BIN)
+            place = np.floor(poses[i, axis] / sizes[axis]) - np.floor(base[axis] / sizes[axis])
+            place = min(max(place, -FARTHEST_BIN), FARTHEST_BIN)
             code += (int(place) + FARTHEST_BIN + 1) * STEPS[axis]
         codes[i] = code
 

@@ -225,9 +225,12 @@ class _WindowFit:
     def systematic_errors(self) -> tuple[SystematicErrors, float]:
         """Return the systematic errors that the drive shows, and the common alpha without them."""
         design, unit = self.windows.design()[self.kept], self.units(ONE_ALPHA)
+        short = self.windows.shortening(ONE_ALPHA.units[0])[self.kept]
         everything = np.ones(len(self.residuals), dtype=np.bool_)
-        errors, left, alpha = self._in_turn(design, unit, everything, None)
-        without = np.array([self._in_turn(design, unit, rest, np.array([alpha]))[0] for _, rest in self._rests()])
+        errors, left, alpha = self._in_turn(design, unit, short, everything, None)
+        without = np.array([
+            self._in_turn(design, unit, short, rest, np.array([alpha]))[0] for _, rest in self._rests()
+        ])  # fmt: skip
         intervals = jackknife_intervals(errors, without)
         shown = np.flatnonzero(left < LEAST_KNOWN)
         found = {SYSTEMATIC[i]: Estimate(float(errors[i]), *map(float, intervals[i])) for i in shown}
@@ -235,15 +238,17 @@ class _WindowFit:
         return SystematicErrors(found, covariance), alpha
 
     def _in_turn(
-        self, design: FloatArray, unit: FloatArray, used: NDArray[np.bool_], start: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray, float]:
+        self, design: FloatArray, unit: FloatArray, short: FloatArray, used: NDArray[np.bool_],
+        start: FloatArray | None,
+    ) -> tuple[FloatArray, FloatArray, float]:  # fmt: skip
         """Fit systematic errors and the common alpha in turn; return both, and what share of the priors is left."""
         residuals, reference, unit = self.residuals[used], self.reference[used], unit[:, used]
         corrected = residuals
         for _ in range(ROUNDS):
             start = fit_levels(corrected, reference, unit, start)
-            errors, left = systematic_errors(residuals, design[used], reference + start[0] * unit[0])
-            corrected = residuals - design[used] @ errors
+            longer = residuals - start[0] * short[used]
+            errors, left = systematic_errors(longer, design[used], reference + start[0] * unit[0])
+            corrected = longer - design[used] @ errors
         return errors, left, float(fit_levels(corrected, reference, unit, start)[0])
 
     def _rests(self) -> list[tuple[int, NDArray[np.bool_]]]:

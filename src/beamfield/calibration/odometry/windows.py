@@ -55,14 +55,38 @@ class OdometryWindows:
 
     def covariance(self, model: OdometryMotion) -> FloatArray:
         """Return what a motion model's noise makes of each window: (w, 3, 3), to first order."""
-        used = np.unique(self.first[:, None] + np.arange(self.length))
-        steps = np.zeros((len(self.odometry) - 1, 3, 3))
-        for j in used:
-            steps[j] = model.step(self.odometry[j : j + 2]).covariance()
+        steps = self._step_covariances(model)
         total = np.zeros((len(self), 3, 3))
         for j, effect in enumerate(self._effects):
             total += effect @ steps[self.first + j] @ np.swapaxes(effect, 1, 2)
         return total
+
+    def shortening(self, model: OdometryMotion) -> FloatArray:
+        """Return what a motion model's noise adds to each window on average: (w, 3), of second order.
+
+        Whatever way its heading errs, a robot gets less far: by half the variance of the heading, of each step. What
+        shifts it sideways in a step counts as an error of the step's direction.
+        """
+        covariances, moved = self._step_covariances(model), between(self.odometry[:-1], self.odometry[1:])[:, :2]
+        squares = np.square(moved).sum(axis=1)
+        sideways = np.stack([-moved[:, 1], moved[:, 0]], axis=1)
+        aside = np.einsum("si,sij,sj->s", sideways, covariances[:, :2, :2], sideways)
+        direction = np.divide(aside, squares**2, out=np.zeros(len(aside)), where=squares > 0.0)
+        start, total, heading = self.odometry[self.first], np.zeros((len(self), 3)), np.zeros(len(self))
+        before = between(start, start)
+        for j in range(self.length):
+            step, after = self.first + j, between(start, self.odometry[self.first + j + 1])
+            total[:, :2] -= 0.5 * (heading + direction[step])[:, None] * (after - before)[:, :2]
+            heading += covariances[step, 2, 2]
+            before = after
+        return total
+
+    def _step_covariances(self, model: OdometryMotion) -> FloatArray:
+        """Return the covariance of each step that a window has, seen from its start: (m, 3, 3)."""
+        steps = np.zeros((len(self.odometry) - 1, 3, 3))
+        for j in np.unique(self.first[:, None] + np.arange(self.length)):
+            steps[j] = model.step(self.odometry[j : j + 2]).covariance()
+        return steps
 
     def design(self) -> FloatArray:
         """Return how the residuals follow from the systematic errors of `SYSTEMATIC`: (w, 3, 4)."""

@@ -44,7 +44,7 @@ class Histogram:
     """
 
     def __init__(self, poses: FloatArray, sizes: BinSizes, limits: FloatArray | None = None) -> None:
-        codes = bin_codes(poses, sizes)
+        codes = bin_codes(poses, sizes, poses[0] if len(poses) else np.zeros(3))
         self._slots = np.full(1 << (2 * len(codes) + 1).bit_length(), -1)
         self._bins, self._bin_of = np.empty_like(codes), np.empty_like(codes)
         none = np.empty(0)
@@ -59,10 +59,13 @@ class Histogram:
         return labels[self._bin_of[: self.n_particles]]
 
 
-def bin_codes(poses: FloatArray, sizes: BinSizes) -> Indices:
-    """Return a number for the bin of each pose, (n,): equal for poses of one bin only."""
+def bin_codes(poses: FloatArray, sizes: BinSizes, base: FloatArray) -> Indices:
+    """Return a number for the bin of each pose, (n,): equal for poses of one bin only.
+
+    Numbers of several calls compare if they have the same base (3,), a pose not too far from the others.
+    """
     codes = np.empty(len(poses), np.int64)
-    fill_codes(poses, np.array(sizes), codes)
+    fill_codes(poses, np.array(sizes), base, codes)
     return codes
 
 

@@ -16,6 +16,8 @@ from beamfield.stacks.emulation.parameter_checks import check_counts
 
 # As for our own filter.
 MOST_PARTICLES = 10_000_000
+# Of larger numbers no exponential fits into a double.
+LARGEST = 700.0
 # Groups of particles: none.
 EVERY = np.empty(0, np.int64)
 
@@ -54,10 +56,12 @@ def reweighed(weights: FloatArray, log_weights: FloatArray) -> tuple[FloatArray,
 
     Where that is 0, as weights may be too small for a double, the particles become equal.
     """
-    with np.errstate(under="ignore"):
-        product = weights * np.exp(log_weights)
-    total = float(product.sum())
-    return (product / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))), total
+    too_much = max(float(log_weights.max()) - LARGEST, 0.0)
+    with np.errstate(under="ignore", over="ignore"):
+        product = weights * np.exp(log_weights - too_much)
+        total = float(product.sum())
+        sum_of_all = float(total * np.exp(too_much))
+    return (product / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))), sum_of_all
 
 
 def normalised(log_weights: FloatArray) -> FloatArray:

@@ -257,6 +257,27 @@ def test_an_offset_at_its_limit_is_undetermined():
     assert got.intervals["range_offset"] == (-np.inf, np.inf)
 
 
+def test_without_hits_their_shape_is_undetermined():
+    rng = np.random.default_rng(6)
+    expected, z = rng.uniform(1.0, 5.0, 3000), rng.uniform(0.0, MAX_RANGE, 3000)
+    stamps, hold = np.linspace(0.0, 400.0, 3000), {"z_hit": 0.0, "z_short": 0.0}
+    parameters = learn_intrinsic_parameters(z, expected, MAX_RANGE, hold=hold, fit_offset=True).parameters
+    got = block_intervals(z, expected, stamps, MAX_RANGE, parameters, hold=hold, fit_offset=True)
+    assert got.intervals["sigma_hit"] == (0.0, np.inf)
+    assert got.intervals["range_offset"] == (-np.inf, np.inf)
+    assert got.standard_errors["sigma_hit"] == np.inf
+
+
+@pytest.mark.parametrize("left", [0.5, 0.0])
+def test_a_weight_that_the_held_ones_leave_is_exact(left):
+    rng = np.random.default_rng(7)
+    expected, z = rng.uniform(1.0, 5.0, 3000), rng.uniform(0.0, MAX_RANGE, 3000)
+    stamps, hold = np.linspace(0.0, 400.0, 3000), {"z_hit": 0.5, "z_short": 0.5 - left, "z_max": 0.0}
+    parameters = learn_intrinsic_parameters(z, expected, MAX_RANGE, hold=hold).parameters
+    got = block_intervals(z, expected, stamps, MAX_RANGE, parameters, hold=hold)
+    assert got.intervals["z_rand"] == pytest.approx((left, left), abs=1e-12)
+
+
 def test_held_parameters_get_no_interval_and_learned_extras_do():
     z, expected, stamps, _ = dependent_beams(np.random.default_rng(3))
     hold = {"lambda_short": 0.5}

@@ -198,6 +198,19 @@ def test_hits_far_from_both_limits_give_the_mean_and_deviation_of_their_errors()
     assert result.parameters.sigma_hit == pytest.approx(off.std(), rel=1e-5)
 
 
+# No bin of these touches an edge, where the M-step has a closed form.
+@pytest.mark.parametrize("offset", [1.2, -1.2])
+def test_an_offset_at_its_limit_is_the_maximum_there(rng, offset):
+    expected = rng.uniform(2.0, 8.0, 1000)
+    z = np.where(rng.random(1000) < 0.8, rng.normal(expected + offset, 0.05), rng.uniform(0.0, 10.0, 1000))
+    found = learn_intrinsic_parameters(z, expected, 10.0, fit_offset=True)
+    parameters = found.parameters
+    assert abs(parameters.range_offset) == 1.0
+    assert found.log_likelihood == pytest.approx(beam_log_density(z, expected, 10.0, parameters).mean(), rel=1e-9)
+    held = learn_intrinsic_parameters(z, expected, 10.0, hold={"range_offset": parameters.range_offset})
+    assert found.log_likelihood == pytest.approx(held.log_likelihood, rel=1e-9)
+
+
 def test_priors_pull_towards_what_was_imagined_and_the_objective_never_falls():
     z, expected, max_range, _, _ = draw("indoor", 500)
     free = learn_intrinsic_parameters(z, expected, max_range)

@@ -148,7 +148,8 @@ def choose_course(
         equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
         if unturned is not None:
             _refuse_mirrored(log, unturned[1], search, hypotheses[0].misfit + equal)
-        if any(one.cost - hypotheses[0].cost < equal > one.misfit - hypotheses[0].misfit for one in hypotheses[1:]):
+        rivals = [one for one in hypotheses[1:] if is_at(one.pose, start)]
+        if any(one.cost - hypotheses[0].cost < equal > one.misfit - hypotheses[0].misfit for one in rivals):
             raise TrajectoryNotFoundError(
                 f"two trajectories fit the log equally well, give the start of one{more}; {_named(hypotheses)}"
             )
@@ -255,6 +256,10 @@ def _hypotheses(
     ]
     best = min((_judged(log, grid, drive, one) for one in cheapest), key=lambda pair: pair[0].cost)
     others = [_judged(log, grid, drive, one) for one in other_courses(followed, best[1], start)[:3]]
+    if start is not None and not others:
+        # None else begins there: those that fit worse tell by how much the best one stands out.
+        elsewhere = [_judged(log, grid, drive, one) for one in other_courses(followed, best[1], None)[:3]]
+        others = elsewhere if all(one.cost > best[0].cost for one, _ in elsewhere) else []
     return sorted([best, *others], key=lambda pair: pair[0].cost)
 
 

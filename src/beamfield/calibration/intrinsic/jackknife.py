@@ -54,14 +54,14 @@ class Jackknife:
 
     def interval(self, i: int) -> tuple[float, float]:
         """Return (low, high) of entry i of the working vector, in the units of `BeamParameters`."""
-        if i == RATE and self._rate_is_undetermined:
-            return 0.0, math.inf
+        if self._is_undetermined(i):
+            return (-math.inf if i == OFFSET else 0.0), math.inf
         low, high = self._weight_interval(i) if i <= 3 else self._shape_interval(i)
         return (math.sqrt(low), math.sqrt(high)) if i in (VARIANCE, SLOPE) else (low, high)
 
     def standard_error(self, i: int) -> float:
         """Return the standard error of entry i of the working vector, in the units of `BeamParameters`."""
-        if i == RATE and self._rate_is_undetermined:
+        if self._is_undetermined(i):
             return math.inf
         if not self.inside[i]:
             return math.nan
@@ -147,6 +147,12 @@ class Jackknife:
         known += [VARIANCE] if self.inside[VARIANCE] and self.counts[W_HIT] >= _BEAMS_OF_A_DESIGN_EFFECT else []
         return max([1.0, *(self.errors.design_effect(i) for i in known if self.errors.naive[i, i] > 0.0)])
 
+    def _is_undetermined(self, i: int) -> bool:
+        """Return whether the log does not show a shape, for want of readings of its cause."""
+        if i == RATE:
+            return self._rate_is_undetermined
+        return i in (VARIANCE, SLOPE, OFFSET) and bool(self.counts[W_HIT] < FEWEST_BEAMS_OF_A_CAUSE)
+
     @cached_property
     def _rate_is_undetermined(self) -> bool:
         ceiling = self.problem.upper[RATE]
@@ -167,7 +173,8 @@ class _Errors:
     moves: FloatArray
 
     def design_effect(self, i: int) -> float:
-        return float(self.robust[i, i] / self.naive[i, i])
+        naive = float(self.naive[i, i])
+        return float(self.robust[i, i]) / naive if naive > 0.0 else 1.0
 
     def skewness(self, i: int) -> float:
         """Return the skewness of the blocks' moves; 0 where none moves."""

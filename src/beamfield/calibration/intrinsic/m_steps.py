@@ -71,7 +71,7 @@ def _hit_shape(statistics: ExpectedStatistics, theta: FloatArray, problem: Learn
     x, free, lower, upper = theta[_SHAPE], problem.free[_SHAPE], problem.lower[_SHAPE], problem.upper[_SHAPE]
     if x[1] == 0.0 and not free[1]:
         # Newton may begin there too: cut or not, the objective is concave in 1 / v and b / v, and has one maximum.
-        x = _uncut_shape(statistics, x, free, lower[0], problem)
+        x = _uncut_shape(statistics, x, free, lower, upper, problem)
         if not statistics.cut_matters:
             return x
     y, low, high = _in_log_variance(x), _in_log_variance(lower), _in_log_variance(upper)
@@ -98,14 +98,15 @@ def _hit_shape(statistics: ExpectedStatistics, theta: FloatArray, problem: Learn
 
 
 def _uncut_shape(
-    statistics: ExpectedStatistics, x: FloatArray, free: NDArray[np.bool_], floor: float, problem: LearningProblem
-) -> FloatArray:
+    statistics: ExpectedStatistics, x: FloatArray, free: NDArray[np.bool_], lower: FloatArray, upper: FloatArray,
+    problem: LearningProblem,
+) -> FloatArray:  # fmt: skip
     count, sum_r, sum_r2 = statistics.node_hit.sum(axis=1)
-    offset = sum_r / count if free[2] else x[2]
+    offset = min(max(sum_r / count, lower[2]), upper[2]) if free[2] else x[2]
     square = max(sum_r2 - 2.0 * offset * sum_r + offset * offset * count, 0.0)
     imagined = problem.priors.sigma_beams
     variance = (square + imagined * problem.priors.sigma_hit**2) / (count + imagined) if free[0] else x[0]
-    return np.array([max(variance, floor), x[1], offset])
+    return np.array([min(max(variance, lower[0]), upper[0]), x[1], offset])
 
 
 def _in_log_variance(x: FloatArray) -> FloatArray:

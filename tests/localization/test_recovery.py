@@ -75,6 +75,13 @@ def test_a_likelihood_is_flattened_until_a_share_of_the_effective_number_is_left
     assert (power < 1.0) is (scale > 1.0 and least_share > 0.0)
 
 
+def test_where_few_are_possible_these_are_told_apart():
+    log_likelihood, out = np.full(2000, -np.inf), np.empty(2000)
+    log_likelihood[:30] = np.linspace(0.0, 10.0, 30)
+    assert reweigh(np.full(2000, 1.0 / 2000), log_likelihood, 0.02, out)[2] == 1.0
+    assert out[29] / out[0] == pytest.approx(np.exp(10.0))
+
+
 def test_weights_are_left_alone_by_what_is_impossible_everywhere():
     before, out = np.array([0.25, 0.75]), np.array([7.0, 8.0])
     assert reweigh(before, np.full(2, -np.inf), 0.0, out)[0] == -np.inf

@@ -132,6 +132,16 @@ def test_mounts_of_their_own_thread_counts_and_shapes_change_nothing(rooms, tabl
     assert len(repr(table)) < 600
 
 
+# Single precision holds none of these; it would round 5.6 down, 8.1 up.
+@pytest.mark.parametrize("max_range", [0.7, 2.3, 5.6, 8.1])
+def test_what_meets_nothing_has_the_longest_range_to_the_last_bit(rooms, table, max_range):
+    finder = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 40), max_range)
+    poses = free_rays(rooms, 300, 11)
+    found, exact = table.expected_ranges(poses, finder), RayCaster(rooms).expected_ranges(poses, finder)
+    assert found.max() == max_range
+    assert np.mean((found == max_range) != (exact == max_range)) < 0.05
+
+
 def test_the_map_is_known_by_its_cells_and_not_by_its_place(rooms):
     moved = replace(rooms, origin=(0.0, 0.0, 0.0))
     assert map_key(moved) == map_key(rooms)

@@ -42,6 +42,13 @@ MODELS = {
 START = np.array([-1.0, 2.0, 2.5])
 
 
+def test_the_density_of_mrpts_model_is_that_of_its_added_noise_where_the_robot_all_but_stands():
+    model, odometry = mrpt_thrun(0.2, 0.3, 0.2, 0.1, 0.15, math.degrees(0.1)), [[0.0, 0.0, 0.0], [1e-9, 0.0, 0.0]]
+    after = np.array([[0.1, -0.2, 0.15]])
+    added = [stats.norm.logpdf(value, scale=sigma) for value, sigma in zip(after[0], (0.15, 0.15, 0.1), strict=True)]
+    assert model.log_density(after, np.zeros((1, 3)), odometry)[0] == pytest.approx(sum(added), abs=1e-6)
+
+
 @pytest.mark.parametrize("odometry", [AHEAD, BACK], ids=["ahead", "back"])
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
 def test_the_density_integrates_to_one_and_is_that_of_the_draws(model, odometry):

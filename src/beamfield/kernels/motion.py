@@ -114,7 +114,8 @@ def _log_blurred(distance: float, bearing: float, turn: float, step: Floats) -> 
     """Return the log density where noise is added to the end point, by integrating over the first rotation r.
 
     Given r, the end point's noise along and across the direction driven, and the heading's, are normal and independent.
-    The one across is narrow: only directions close to that of the end point, or opposite, count.
+    Nodes lie where the narrowest factor is: about the rotation said, the one that the heading leaves, or the direction
+    of the end point or its opposite.
     """
     along = math.sqrt(step[4] * step[4] + step[6] * step[6])
     spread = math.sqrt(step[5] * step[5] + step[7] * step[7])
@@ -122,15 +123,23 @@ def _log_blurred(distance: float, bearing: float, turn: float, step: Floats) -> 
         return _log_given_rotation(step[0], distance, bearing, turn, along, spread, step)
     width = step[6] / max(distance, step[6])
     finest = min(step[3], width, spread) if spread > 0.0 else min(step[3], width)
-    reach = min(9.0 * width, 0.5 * math.pi)
+    centre, period = bearing, math.pi
+    if finest == step[3]:
+        centre, period = step[0], math.inf
+    elif finest == spread:
+        centre, period = turn - step[2], math.tau
+    reach = min(9.0 * finest, 0.5 * period)
     nodes = math.ceil(4.0 * reach / finest)
     pitch = 2.0 * reach / nodes
-    first = math.ceil((step[0] - 9.0 * step[3] - bearing - reach) / math.pi)
-    last = math.floor((step[0] + 9.0 * step[3] - bearing + reach) / math.pi)
+    first, last = 0, 0
+    if period < math.inf:
+        first = math.ceil((step[0] - 9.0 * step[3] - centre - reach) / period)
+        last = math.floor((step[0] + 9.0 * step[3] - centre + reach) / period)
     total = -math.inf
     for k in range(first, last + 1):
+        middle = centre + k * period if k != 0 else centre
         for j in range(nodes):
-            r = bearing + k * math.pi - reach + (j + 0.5) * pitch
+            r = middle - reach + (j + 0.5) * pitch
             value = _log_given_rotation(r, distance, bearing, turn, along, spread, step)
             total = _log_sum(total, value + _log_normal(r - step[0], step[3]))
     return total + math.log(pitch)

@@ -41,6 +41,8 @@ FAN_COS, FAN_SIN, FAN_HEADING = np.uintp(2), np.uintp(3), np.uintp(4)
 
 NONE, SINGLE = integer(0), integer(1)
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+# Times this, a number of single precision is the next larger one, or that after it.
+NEXT = np.float32(1.0 + 2.0**-23)
 
 Floats = NDArray[np.float64]
 
@@ -160,14 +162,16 @@ def look_up_fan(poses: Floats, frame: tuple[float, float, float], fan: Floats, s
     beams = fan.shape[1] if same_mount else SINGLE
     n_groups = poses.shape[0] * (fan.shape[1] // beams)
     rays, groups = _allocate(), np.empty(GROUP_ROWS * BLOCK)
+    # In single precision, a number that is no less.
+    above = np.float64(np.float32(max_range) * NEXT)
     missing = NONE
     for first in range(0, n_groups, BLOCK):
         count = min(BLOCK, n_groups - first)
-        _find_starts(poses, frame, fan, same_mount, table, first, count, max_range, groups)
+        _find_starts(poses, frame, fan, same_mount, table, first, count, above, groups)
         for start in range(0, count * beams, BLOCK):
             filled = min(BLOCK, count * beams - start)
             _aim(rays.state, rays.base, groups, fan, same_mount, table.headings, start, filled)
-            missing += _read(rays, table, filled, first * beams + start, ranges)
+            missing += _read(rays, table, filled, first * beams + start, max_range, ranges)
     return missing
 
 
@@ -259,7 +263,7 @@ def _aim(state: NDArray[np.float32], bases: NDArray[np.uint32], groups: Floats, 
 
 
 @kernel
-def _read(rays: Rays, table: Table, count: int, done: int, ranges: Floats) -> int:
+def _read(rays: Rays, table: Table, count: int, done: int, max_range: float, ranges: Floats) -> int:
     """Read the ranges of a block; those of its first `count` rays go to `done` on. Return how many have none.
 
     The point that a ray hits is seen from where the rays of its place start in a slightly other direction. A first look
@@ -299,6 +303,6 @@ def _read(rays: Rays, table: Table, count: int, done: int, ranges: Floats) -> in
         state[RESULT + j] = most if nearest_code == NOTHING else metres
     missing = NONE
     for j in range(np.uintp(count)):
-        ranges[np.uintp(done) + j] = state[RESULT + j]
+        ranges[np.uintp(done) + j] = min(np.float64(state[RESULT + j]), max_range)
         missing += 1 if state[RESULT + j] < ZERO else 0
     return missing

@@ -101,7 +101,7 @@ class CoarseModel:
         """
         places = as_poses(poses)
         scan = z.every(self.n_beams)
-        values: FloatArray = min(1.0, WORTH / len(scan.ranges)) * self._field.log_likelihood(scan, places)
+        values: FloatArray = min(1.0, WORTH / max(len(scan.ranges), 1)) * self._field.log_likelihood(scan, places)
         if scan.finder.opening_angle > 0.0:
             return values
         ranges = usable_ranges(scan.ranges, scan.finder)

@@ -255,7 +255,7 @@ def reweigh(
         (n,) nats.
     least_share
         The likelihood is taken to the largest power, at most 1, that leaves this share of the effective number of
-        weights; 0 takes the first power.
+        those weights that are possible by it; 0 takes the first power.
     out
         (n,) overwritten; may be `weights`.
 
@@ -268,7 +268,8 @@ def reweigh(
     log_mean, effective = kernels.fill_weights(weights, log_likelihood, 1.0, trial)
     power = 1.0
     if least_share > 0.0 and -math.inf < log_mean < math.inf:
-        target = least_share / float(np.square(weights).sum())
+        possible = weights[log_likelihood > -math.inf]
+        target = least_share * float(possible.sum()) ** 2 / float(np.square(possible).sum())
         if effective < target:
             power, effective = _flatten(weights, log_likelihood, target, trial)
     if -math.inf < log_mean < math.inf:

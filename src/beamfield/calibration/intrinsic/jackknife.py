@@ -94,6 +94,8 @@ class Jackknife:
 
     def _weight_interval(self, i: int) -> tuple[float, float]:
         w, variance = float(self.theta[i]), float(self.errors.robust[i, i])
+        if self.problem.free[:4].sum() == 1:  # what the held ones leave
+            return w, w
         most = 1.0 - float(self.theta[:4][~self.problem.free[:4]].sum())
         if w <= self.problem.lower[i]:
             return 0.0, min(self._rise_from_bound(i, self._largest_design_effect), most)
@@ -173,8 +175,7 @@ class _Errors:
     moves: FloatArray
 
     def design_effect(self, i: int) -> float:
-        naive = float(self.naive[i, i])
-        return float(self.robust[i, i]) / naive if naive > 0.0 else 1.0
+        return float(self.robust[i, i] / self.naive[i, i])
 
     def skewness(self, i: int) -> float:
         """Return the skewness of the blocks' moves; 0 where none moves."""

@@ -31,8 +31,9 @@ class LineParameters:
     Parameters
     ----------
     sigma_rho, sigma_alpha
-        Standard deviations, metres and radians, 0 or from 1e-12 to 1e9. They are *added* (as variances) to the covariance that a
-        detection brings, for what it does not know: errors of the map. Where detections bring none they are all.
+        Standard deviations, metres and radians, 0 or from 1e-12 to 1e9. They are *added* (as variances) to the
+        covariance that a detection brings, for what it does not know: errors of the map. Where detections bring none
+        they are all.
     spurious_rate
         Probability that a line belongs to none of the map (c = N + 1), in [0, 1).
     max_range

@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         given = _read(arguments, progress)
         with about_file(arguments.log):
             parameters, doubt = _parameters(given, arguments, progress)
-            problem = doubt or _disagreement(given)
+            problem = _lost(given) or doubt or _disagreement(given)
             model = model_of_sensor(given.log.finder)(given.grid, parameters)
             origin = provenance(arguments)
             reference = _reference(model, given, origin, arguments, progress)
@@ -156,11 +156,15 @@ def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     progress("reading the map", 0, 1)
     grid = options.read_walls(arguments)
     progress("reading the log", 0, 1)
-    log, fitted, notes = _sensor(arguments, arguments.log, arguments.poses, grid, progress, options.start_of(arguments))
+    start = options.start_of(arguments)
+    sensor, log, fitted, notes = _sensor(arguments, arguments.log, arguments.poses, grid, progress, start)
     is_own = arguments.good is None
     good, more = log, tuple[str, ...]()
     if not is_own:
-        good, _, more = _sensor(arguments, arguments.good, arguments.good_poses, grid, progress)
+        _, good, _, more = _sensor(arguments, arguments.good, arguments.good_poses, grid, progress)
+    if fitted is not None and fitted.instead_of is not None:
+        # The scans tell what good ones are where they were taken; the log's own poses are what is judged.
+        log = sensor
     parameters, limit = (None, good.finder.max_range) if saved is None else (saved.parameters, saved.max_range)
     log, note = _with_limit(log, limit, arguments.log)
     good, _ = _with_limit(good, limit, arguments.good or arguments.log)
@@ -199,11 +203,13 @@ def _read_reference(path: Path) -> ScanFitReference:
 def _sensor(
     arguments: argparse.Namespace, path: Path, poses: Path | None, grid: OccupancyGrid, progress: StageProgress,
     start: Start = None,
-) -> tuple[SensorLog, FittedPoses | None, tuple[str, ...]]:  # fmt: skip
-    """Return the sensor with poses, its own or fitted to the map, and notes."""
+) -> tuple[SensorLog, SensorLog, FittedPoses | None, tuple[str, ...]]:  # fmt: skip
+    """Return the sensor as it is, and with poses, its own or fitted to the map; what was fitted, and notes."""
     sensor, notes = options.read_sensor(arguments, path, poses)
-    sensor, fitted, more = posed_log(sensor, grid, arguments, progress, path=path, start=start)
-    return sensor, fitted, (*notes, *more)
+    posed, fitted, found = posed_log(
+        sensor, grid, arguments, progress, path=path, start=start, are_given=poses is not None
+    )
+    return sensor, posed, fitted, (*notes, *(finding.full_text for finding in found))
 
 
 def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StageProgress) -> tuple[BeamParameters, str]:
@@ -221,6 +227,12 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
         return learned.parameters, ""
     said = f"{reasons}; what good scans look like was learned all the same."
     return learned.parameters, " ".join([said, *(one.do for one in learned.findings if one.name in DOUBTS)])
+
+
+def _lost(given: _Inputs) -> str:
+    """Return where the log's own poses leave the fitted ones, if others were fitted instead."""
+    lost = None if given.fitted is None else given.fitted.instead_of
+    return "" if lost is None else lost.text.rstrip(".")
 
 
 def _disagreement(given: _Inputs) -> str:
@@ -255,12 +267,16 @@ def _changed_places(
     given: _Inputs, parameters: BeamParameters, fits: ScanFits, reference_error: float
 ) -> ChangedPlaces | None:
     """Find them where the robot was not lost; None for a sonar, or where it always was."""
+    import numpy as np
+
     from beamfield.scan_fit.changed_places import find_changed_places
 
-    scans = (fits.problem == 0) & (fits.lost <= 0.5)
-    if given.log.finder.opening_angle > 0.0 or not scans.any():
+    log, scans = given.log, (fits.problem == 0) & (fits.lost <= 0.5)
+    if _lost(given):
+        log, scans = given.good, np.isfinite(given.good.poses).all(axis=1)
+    if log.finder.opening_angle > 0.0 or not scans.any():
         return None
-    return find_changed_places(given.log, given.grid, parameters, scans=scans, reference_error=reference_error)
+    return find_changed_places(log, given.grid, parameters, scans=scans, reference_error=reference_error)
 
 
 def _files(

@@ -58,6 +58,7 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read and examine."""
+    from beamfield.finding import worst_first
     from beamfield.stacks.doctor.examine import examine
     from beamfield.stacks.files.parameter_file import read_stack_file
 
@@ -74,29 +75,36 @@ def run(arguments: argparse.Namespace) -> Outcome:
         raise InvalidInputError("--start: is for poses of a --log that are fitted to a --map")
     with options.progress(arguments) as progress:
         progress("reading", 0, 1)
+        of_poses: tuple[Finding, ...] = ()
         grid, map_file = (None, None) if arguments.map is None else _read_map(arguments)
         log, notes = (None, ()) if arguments.log is None else options.read_sensor(arguments)
         if log is not None and grid is not None:
-            log, more = _posed(log, grid, arguments, progress)
+            log, of_poses, more = _posed(log, grid, arguments, progress)
             notes = (*notes, *more)
         progress("examining", 0, 1)
         found = examine(file, grid=grid, map_file=map_file, log=log)
-    said = {item.full_text for item in found}
-    notes = tuple(note for note in notes if note not in said)
+    known = {item.name for item in found}
+    found = worst_first((*found, *(item for item in of_poses if item.name not in known)))
     code = 1 if any(item.severity != "info" for item in found) else 0
     return Outcome(_counts(found), _as_text(file, found), _as_document(file, found), notes, code=code)
 
 
 def _posed(
     log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress
-) -> tuple[SensorLog, tuple[str, ...]]:
-    """Return the log with poses, its own or fitted to the map; as it was, and why, if none can be fitted."""
-    start = options.start_of(arguments)
+) -> tuple[SensorLog, tuple[Finding, ...], tuple[str, ...]]:
+    """Return the log with poses, its own or fitted to the map, what is wrong with them, and notes.
+
+    If none can be fitted it is the log as it was, and a note says why.
+    """
+    start, are_given = options.start_of(arguments), arguments.poses is not None
     try:
-        log, _, notes = posed_log(log, grid, arguments, progress, path=arguments.log, start=start)
+        log, _, found = posed_log(
+            log, grid, arguments, progress, path=arguments.log, start=start, are_given=are_given
+        )  # fmt: skip
     except (FormatError, TooLittleDataError) as error:
-        return log, (f"{error}; tests at the scans' poses are left out",)
-    return log, notes
+        return log, (), (f"{error}; tests at the scans' poses are left out",)
+    infos = tuple(finding.full_text for finding in found if finding.severity == "info")
+    return log, tuple(finding for finding in found if finding.severity != "info"), infos
 
 
 def _read_map(arguments: argparse.Namespace) -> tuple[OccupancyGrid, MapFile]:

@@ -103,9 +103,11 @@ def _posed(
     if arguments.no_fit and start is None and not sensor.has_poses:
         return sensor, (BY_HAND,)
     try:
-        log, _, notes = posed_log(sensor, grid, arguments, progress, path=arguments.log, start=start)
+        log, _, found = posed_log(
+            sensor, grid, arguments, progress, path=arguments.log, start=start, are_given=arguments.poses is not None
+        )
     except (FormatError, TooLittleDataError) as error:
         if sensor.has_poses:
             raise
         return sensor, (f"{error}; {BY_HAND}",)
-    return log, notes
+    return log, tuple(finding.full_text for finding in found)

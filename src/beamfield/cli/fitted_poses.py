@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -18,6 +19,7 @@ from beamfield.errors import (
 )
 
 if TYPE_CHECKING:
+    from beamfield.finding import Finding
     from beamfield.localization.fitted_poses import FittedPoses
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import SensorLog
@@ -26,13 +28,18 @@ NAME = "fitted_poses"
 Fitted = TypeVar("Fitted", bound="FittedPoses")
 Start = tuple[float, float, float] | None
 NO_POSE = "no scan has a reference pose"
+# What refutes a log's own poses.
+REFUTED = ("map-disagrees", "reference-slides", "reference-stands-still")
 
 
 def posed_log(
     sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress, *, path: Path,
-    start: Start = None,
-) -> tuple[SensorLog, FittedPoses | None, tuple[str, ...]]:  # fmt: skip
-    """Return a log with reference poses, its own or else fitted to the map, what was fitted, and notes on the poses.
+    start: Start = None, are_given: bool = False,
+) -> tuple[SensorLog, FittedPoses | None, tuple[Finding, ...]]:  # fmt: skip
+    """Return a log with reference poses, its own or else fitted to the map, what was fitted, and findings on the poses.
+
+    Its own are those of a localizer that may have been lost: where they do not go with the map or the odometry, and
+    others can be fitted that are elsewhere, these are taken.
 
     Parameters
     ----------
@@ -46,6 +53,8 @@ def posed_log(
         Called with stage, steps done and steps in all.
     start
         See `options.start_of`.
+    are_given
+        Whether the poses are from a file that the user named: then they are taken as they are.
     """
     from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import fit_poses
@@ -53,10 +62,34 @@ def posed_log(
 
     if not has_poses(sensor, start):
         fitted = fit_in_map(fit_poses, sensor, grid, arguments, progress, path=path, start=start)
-        return fitted.log, fitted, tuple(finding.full_text for finding in fitted.findings())
+        return fitted.log, fitted, fitted.findings()
     with about_file(path):
         require_metres(sensor, grid)
-    return sensor, None, tuple(finding.full_text for finding in pose_findings(sensor, grid))
+    found = tuple(pose_findings(sensor, grid))
+    if not are_given:
+        better = _instead(sensor, grid, found, progress)
+        if better is not None:
+            return better.log, better, better.findings()
+    return sensor, None, found
+
+
+def _instead(
+    sensor: SensorLog, grid: OccupancyGrid, found: tuple[Finding, ...], progress: StageProgress
+) -> FittedPoses | None:
+    """Return poses to take instead of a log's own, if those are refuted by what was found and these are elsewhere."""
+    from beamfield.localization.fitted_poses import fit_poses
+    from beamfield.localization.own_poses import compare_own_poses
+
+    if not any(one.name in REFUTED for one in found) or not sensor.has_odometry or sensor.finder.opening_angle > 0.0:
+        return None
+    try:
+        fitted = fit_poses(sensor, grid, progress=progress)
+    except BeamfieldError:
+        return None
+    compared = compare_own_poses(sensor, fitted.fit)
+    if compared is None or compared.name != "own-poses-lost":
+        return None
+    return replace(fitted, instead_of=compared)
 
 
 def has_poses(sensor: SensorLog, start: Start) -> bool:

@@ -4,7 +4,7 @@ Run a particle filter over the scans and the odometry of a log, and write where 
 200 particles of each update (particles.csv.gz), a picture of its path and of how sure the filter was
 (localization.png), and the numbers (localization.json), whole or not at all; beamfield explore --run shows them. The
 filter starts at --start, else at the first reference pose, else, or with --global, anywhere on the map; the other
-reference poses only judge the errors.
+reference poses only judge the errors. Poses of the log itself that map and odometry refute are replaced by fitted ones.
 
 With --params of nav2 or another stack, the robot's own filter runs instead of ours, emulated; evaluate compares
 several.
@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 from beamfield.cli import options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
+from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, check_recordings, write_recordings
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError, about_file
@@ -109,6 +110,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     check_recordings(arguments)
     with options.progress(arguments) as progress:
         grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
+        sensor, more = _with_poses_that_hold(sensor, grid, arguments, progress)
+        notes = (*notes, *more)
         log, start = _start(sensor, grid, arguments)
         run_filter, which = _filter(log, grid, start, arguments)
         film = Film(len(log), arguments.seed)
@@ -123,8 +126,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         since = (sure_from(found) or 0) if start is None and is_found else 0
         lost = find_lost_robot(log[since:], grid, found.poses[since:])
         is_sonar = log.finder.opening_angle > 0.0
-        more = [lost] if lost is not None else [lost_not_judged()] if is_sonar else []
-        found = replace(found, findings=worst_first((*found.findings, *time_gaps(log.stamps), *more)))
+        judged = [lost] if lost is not None else [lost_not_judged()] if is_sonar else []
+        found = replace(found, findings=worst_first((*found.findings, *time_gaps(log.stamps), *judged)))
         errors = _judged(found, log, 0 if lost is not None and lost.name == "robot-lost" else since)
         progress("drawing", 0, 1)
         document = {"provenance": provenance(arguments), "filter": which, **run_facts(found, errors, log, start)}
@@ -137,6 +140,20 @@ def run(arguments: argparse.Namespace) -> Outcome:
         line, run_summary(document, errors, arguments, is_sonar=is_sonar), document, notes, [arguments.out, *recorded],
         code=3 if problem else 0, problem=problem, brief=ended_at(document),
     )  # fmt: skip
+
+
+def _with_poses_that_hold(
+    sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress
+) -> tuple[SensorLog, tuple[str, ...]]:
+    """Return the log, with poses fitted to the map where its own are refuted, and what refutes them."""
+    from beamfield.cli.fitted_poses import REFUTED, posed_log
+
+    if not sensor.has_poses:
+        return sensor, ()
+    are_given = arguments.poses is not None
+    log, fitted, found = posed_log(sensor, grid, arguments, progress, path=arguments.log, are_given=are_given)
+    told = found if fitted is not None else (one for one in found if one.name in REFUTED)
+    return log, tuple(one.full_text for one in told)
 
 
 def _start(

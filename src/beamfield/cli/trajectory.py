@@ -1,7 +1,8 @@
 """Find the poses of a log in a map.
 
 Fit the whole trajectory to odometry, scans and map at once: the start is searched for, stretches that cannot be trusted
-are named, and so are slips of the wheels and times at which the robot was carried. Writes the poses as TUM lines, which
+are named, and so are slips of the wheels, times at which the robot was carried, and where poses of the log, such as
+its filter's, leave the fitted ones. Writes the poses as TUM lines, which
 --poses of other commands takes, and a picture of the same name. A trajectory that cannot be found is not written; nor
 is one of two that fit equally well.
 
@@ -14,6 +15,7 @@ for example:
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,8 +47,10 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read, fit, write."""
     # The numerical libraries load here, so that --help answers at once.
+    from beamfield.finding import worst_first
     from beamfield.io.files.atomic import atomic_files
     from beamfield.io.trajectory import write_tum
+    from beamfield.localization.own_poses import compare_own_poses
     from beamfield.localization.trajectory import fit_trajectory
     from beamfield.report.trajectory_figure import draw_fit
     from beamfield.sensors import Track
@@ -73,6 +77,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
         with atomic_files([picture, arguments.out]) as (drawn, poses):
             figure.savefig(drawn, dpi=130)
             write_tum(poses, Track(fit.stamps[written], fit.poses[written]))
+    own = compare_own_poses(sensor, fit)
+    if own is not None:
+        fit = replace(fit, findings=worst_first((*fit.findings, own)))
     return _outcome(fit, notes, [arguments.out, picture])
 
 
@@ -103,8 +110,6 @@ def _outcome(fit: TrajectoryFit, notes: tuple[str, ...], wrote: list[Path]) -> O
 
 
 def _document(fit: TrajectoryFit) -> dict[str, Any]:
-    from dataclasses import asdict
-
     from beamfield.localization.trajectory import position_deviations
 
     deviations = position_deviations(fit.covariances)

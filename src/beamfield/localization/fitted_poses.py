@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,12 +40,15 @@ class FittedPoses:
         How wrong they should be taken to be when posteriors are compared with them, metres: the deviation, but at least
         half a cell. Nobody knows better where in its cells a wall stands, and the beams of a scan do not say: all of
         them follow the map.
+    instead_of
+        What is wrong with the log's own poses, in whose place they are; None if it has none.
     """
 
     fit: TrajectoryFit
     log: SensorLog
     deviation: float
     reference_error: float
+    instead_of: Finding | None = field(default=None, kw_only=True)
 
     __repr__ = short_repr
 
@@ -57,8 +60,13 @@ class FittedPoses:
     @property
     def sentence(self) -> str:
         """Where the poses come from, for people."""
+        why = (
+            "The log's own poses are wrong: others"
+            if self.instead_of is not None
+            else "The log has no reference poses: they"
+        )
         return (
-            "The log has no reference poses: they were fitted to this map from its odometry and scans. "
+            f"{why} were fitted to this map from its odometry and scans. "
             f"{self.n_trusted} of {len(self.log)} scans are trusted, to {self.deviation:.3f} m (standard deviation per "
             "axis, median)."
         )
@@ -83,7 +91,7 @@ class FittedPoses:
             do="Look at the path over the map (beamfield trajectory draws it); poses from elsewhere, such as motion "
             "capture's, are better.",
         )
-        return (said, *self.fit.findings)
+        return (*([] if self.instead_of is None else [self.instead_of]), said, *self.fit.findings)
 
 
 @dataclass(frozen=True, eq=False)

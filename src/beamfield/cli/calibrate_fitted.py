@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import NAME, fit_in_map, has_poses
+from beamfield.cli.fitted_poses import NAME, fit_in_map, has_poses, instead_of_own
 from beamfield.cli.report_part import ReportPart
 
 if TYPE_CHECKING:
@@ -19,15 +19,23 @@ if TYPE_CHECKING:
 
 
 def cross_fitted(job: CalibrationJob, sensor: SensorLog) -> CrossFittedPoses | None:
-    """Return poses of a log, fitted by one half of its beams each; None for a log that has poses, or has no map."""
-    start = options.start_of(job.arguments)
-    if job.grid is None or has_poses(sensor, start):
-        return None
+    """Return poses of a log, fitted by one half of its beams each; None for a log with poses that hold, or no map."""
+    from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import cross_fit_poses
 
-    return fit_in_map(
+    start, instead_of = options.start_of(job.arguments), None
+    if job.grid is None:
+        return None
+    if has_poses(sensor, start):
+        found = tuple(pose_findings(sensor, job.grid))
+        better = None if job.arguments.poses is not None else instead_of_own(sensor, job.grid, found, job.progress)
+        if better is None:
+            return None
+        instead_of = better.instead_of
+    fitted = fit_in_map(
         cross_fit_poses, sensor, job.grid, job.arguments, job.progress, path=job.arguments.log, start=start
     )
+    return replace(fitted, instead_of=instead_of)
 
 
 def with_fitted_error(job: CalibrationJob, fitted: CrossFittedPoses) -> CalibrationJob:

@@ -67,13 +67,20 @@ def posed_log(
         require_metres(sensor, grid)
     found = tuple(pose_findings(sensor, grid))
     if not are_given:
-        better = _instead(sensor, grid, found, progress)
+        better = instead_of_own(sensor, grid, found, progress)
         if better is not None:
             return better.log, better, better.findings()
     return sensor, None, found
 
 
-def _instead(
+def has_poses(sensor: SensorLog, start: Start) -> bool:
+    """Return whether a log has poses of its own, and refuse a --start for them."""
+    if sensor.has_poses and start is not None:
+        raise InvalidInputError("--start: is for a log without reference poses, and this one has them")
+    return sensor.has_poses
+
+
+def instead_of_own(
     sensor: SensorLog, grid: OccupancyGrid, found: tuple[Finding, ...], progress: StageProgress
 ) -> FittedPoses | None:
     """Return poses to take instead of a log's own, if those are refuted by what was found and these are elsewhere."""
@@ -90,13 +97,6 @@ def _instead(
     if compared is None or compared.name != "own-poses-lost":
         return None
     return replace(fitted, instead_of=compared)
-
-
-def has_poses(sensor: SensorLog, start: Start) -> bool:
-    """Return whether a log has poses of its own, and refuse a --start for them."""
-    if sensor.has_poses and start is not None:
-        raise InvalidInputError("--start: is for a log without reference poses, and this one has them")
-    return sensor.has_poses
 
 
 def fit_in_map(

@@ -91,7 +91,7 @@ class FittedPoses:
             do="Look at the path over the map (beamfield trajectory draws it); poses from elsewhere, such as motion "
             "capture's, are better.",
         )
-        return (*([] if self.instead_of is None else [self.instead_of]), said, *self.fit.findings)
+        return (said, *([] if self.instead_of is None else [self.instead_of]), *self.fit.findings)
 
 
 @dataclass(frozen=True, eq=False)

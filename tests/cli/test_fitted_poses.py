@@ -119,6 +119,69 @@ def test_the_error_of_the_poses_is_what_the_fit_says(fitted: Path):
     assert 0.001 < document["fitted_poses"]["deviation_m"] < error
 
 
+@pytest.fixture(scope="module")
+def lost(world: Path) -> str:
+    """The log with poses that leave the right ones half-way, as a filter's that gets lost do."""
+    lines, n_scans = [], 0
+    for line in (world / "log.carmen").read_text().splitlines():
+        words = line.split()
+        if words and words[0] == "FLASER":
+            k, n_scans = 2 + int(words[1]), n_scans + 1
+            words[k] = str(float(words[k]) + 0.05 * max(n_scans - 80, 0))
+        lines.append(" ".join(words))
+    (world / "lost.carmen").write_text("\n".join(lines) + "\n")
+    return "lost.carmen"
+
+
+@pytest.mark.usefixtures("fitted_once")
+def test_check_of_a_log_whose_robot_was_lost_says_where_and_judges_its_own_poses(
+    world: Path, lost: str, fitted: Path, tmp_path: Path, capsys
+):
+    words = ("--params", str(fitted / "beam_model.yaml"), "--worst", "0")
+    assert on_map("check", world, lost, tmp_path / "out", *words) == 3
+    said = capsys.readouterr()
+    assert "warning: The log's own poses leave the fitted ones" in said.err
+    document = json.loads((tmp_path / "out" / "scan_fit.json").read_text())
+    (finding,) = [one for one in document["fitted_poses"]["findings"] if one["name"] == "own-poses-lost"]
+    assert finding["values"]["first_s"] == pytest.approx(20.0 + 0.25 * 10, abs=1.5)
+    assert document["share_that_fits"] < 0.8
+    assert "lost probability above 0.5" in said.out
+
+
+@pytest.mark.usefixtures("fitted_once")
+def test_localize_is_not_judged_by_poses_that_are_lost(world: Path, lost: str, tmp_path: Path, capsys):
+    assert on_map("localize", world, lost, tmp_path / "out") == 0
+    assert "The log's own poses leave the fitted ones" in capsys.readouterr().err
+    errors = json.loads((tmp_path / "out" / "localization.json").read_text())["errors"]
+    assert errors["mean"] < 0.2
+
+
+@pytest.mark.usefixtures("fitted_once")
+def test_doctor_counts_what_is_wrong_with_the_poses(world: Path, lost: str, tmp_path: Path, capsys):
+    doctor(world, tmp_path, lost)
+    said = capsys.readouterr()
+    assert "warning: own-poses-lost" in said.out
+    assert "map-disagrees" not in said.out
+
+
+def test_poses_of_a_file_that_the_user_names_are_taken_as_they_are(world: Path, lost: str):
+    log, grid = read_log(world / lost).only_sensor(), read_map(world / "map.yaml")
+    with StageProgress(quiet=True) as progress:
+        posed, fitted, found = posed_log(
+            log, grid, argparse.Namespace(), progress, path=world / lost, are_given=True
+        )  # fmt: skip
+    assert fitted is None
+    assert posed is log
+    assert {"map-disagrees", "reference-slides"} & {one.name for one in found}
+
+
+def test_calibrate_learns_at_fitted_poses_where_those_of_the_log_are_lost(world: Path, lost: str, tmp_path: Path):
+    assert on_map("calibrate", world, lost, tmp_path / "out", "--no-refine", "--quiet") == 0
+    document = document_of(tmp_path / "out")
+    assert "own-poses-lost" in [one["name"] for one in document["findings"]]
+    assert document["parameters"]["sigma_hit"]["value"] < 0.1
+
+
 @pytest.mark.usefixtures("fitted_once")
 def test_check_fits_the_poses_first_and_says_so(world: Path, fitted: Path, tmp_path: Path, capsys):
     words = (*LONE, "--params", str(fitted / "beam_model.yaml"), "--worst", "0")

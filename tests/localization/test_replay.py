@@ -179,6 +179,12 @@ def test_a_change_that_loses_more_runs_is_not_better():
     assert not judge_change([before], [after]).is_better
 
 
+def test_nothing_is_better_than_another_that_is_lost_in_every_run_itself():
+    before = trials(np.linspace(4.0, 5.0, 10), n_lost=10)
+    for n_lost, is_better in ((9, True), (10, False)):
+        assert judge_change([before], [trials(np.linspace(2.0, 3.0, 10), n_lost=n_lost)]).is_better is is_better
+
+
 def test_logs_of_one_name_are_refused():
     worse, better = (
         (trials(np.full(10, 0.1)), trials(np.full(10, 0.2))),

@@ -109,7 +109,7 @@ def log_density(table: BeamTable, parameters: BeamParameters) -> FloatArray:
 
 
 def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float:
-    """Return the standard error of a mean whose terms depend on each other within blocks; NaN for one block.
+    """Return the standard error of a mean whose terms depend on each other within blocks; NaN for one block, or with terms that are not finite.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float
     """
     _, index = np.unique(blocks, return_inverse=True)
     n_blocks = int(index.max()) + 1 if len(index) else 0
-    if n_blocks < 2:
+    if n_blocks < 2 or not np.isfinite(values).all():
         return float("nan")
     centred = np.bincount(index, weights=values - values.mean(), minlength=n_blocks)
     return float(np.sqrt(n_blocks / (n_blocks - 1) * (centred**2).sum()) / len(values))

@@ -173,7 +173,7 @@ class ReplayVerdict:
     ----------
     is_better
         Whether the mean position error over all logs is lower for sure, on no log higher for sure, and no more runs
-        are lost.
+        are lost, nor all of them.
     overall
         The mean position error over all logs.
     by_log
@@ -272,7 +272,9 @@ def judge_change(before: Sequence[ReplayTrials], after: Sequence[ReplayTrials]) 
         raise InvalidInputError(f"before, after: expected logs with names of their own, got {names}")
     by_log = {a.log: compare_trials([a], [b]) for a, b in zip(before, after, strict=True)}
     lost = [sum(one.n_lost for one in trials) for trials in (before, after)]
-    harmless = not any(one.is_higher for one in by_log.values()) and lost[1] <= lost[0]
+    # How far a robot is off that is lost in every run is nothing to choose by.
+    all_lost = lost[1] == sum(len(one.seeds) for one in after)
+    harmless = not any(one.is_higher for one in by_log.values()) and lost[1] <= lost[0] and not all_lost
     return ReplayVerdict(
         is_better=overall.is_lower and harmless, overall=overall, by_log=by_log, lost_before=lost[0], lost_after=lost[1]
     )

@@ -62,7 +62,9 @@ def log_axis_density(table: AxisTable, mixture: Mixture) -> FloatArray:
     the axis, and (6.34) without "no return".
     """
     hit = np.exp(_Hits.at(table, mixture.sigma).log_density)
-    return np.asarray(np.log(mixture.hit_share * hit + (1.0 - mixture.hit_share) / table.span))
+    # Where all readings are hits, far ones are impossible.
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(mixture.hit_share * hit + (1.0 - mixture.hit_share) / table.span))
 
 
 def fit_axis_density(table: AxisTable) -> DensityFit:

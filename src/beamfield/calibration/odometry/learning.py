@@ -144,7 +144,7 @@ def calibrate_odometry(
 
 
 @checked
-def learn_systematic_errors(log: SensorLog, *, covariances: ArrayLike | None = None) -> SystematicErrors:
+def learn_systematic_errors(log: SensorLog, *, covariances: ArrayLike | None) -> SystematicErrors:
     """Learn only the systematic errors of a log's odometry, with their covariance; much faster than all of it.
 
     Parameters

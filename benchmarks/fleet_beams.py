@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from beamfield.fleet.run_record import MapInfo, OdometryErrors, RunRecord
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 
@@ -48,13 +49,17 @@ class MemoryShard:
 class MemoryCatalogue:
     used: tuple[RunRecord, ...]
     all_shards: tuple[MemoryShard, ...]
+    mapped: OccupancyGrid | None = None
 
     @property
     def runs(self) -> tuple[RunRecord, ...]:
         return self.used
 
-    def shards(self, **where: Any) -> tuple[MemoryShard, ...]:
-        return tuple(s for s in self.all_shards if all(getattr(s, name) == value for name, value in where.items()))
+    def shards(self) -> tuple[MemoryShard, ...]:
+        return self.all_shards
+
+    def grid(self, _record: RunRecord) -> OccupancyGrid | None:
+        return self.mapped
 
 
 def memory_shard(

@@ -326,7 +326,6 @@ def test_one_block_gives_no_intervals():
         ({"stamps": [0.0, np.nan]}, r"stamps\[1\]"),
         ({"stamps": [0.0]}, "stamps"),
         ({"ranges": [1.0, -1.0]}, r"ranges\[1\]"),
-        ({"level": 1.0}, "level"),
         ({"block_s": 0.0}, "block_s"),
     ],
 )

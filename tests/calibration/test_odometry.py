@@ -397,7 +397,7 @@ def test_bad_covariances_are_refused(covariances):
 
 @pytest.mark.parametrize(
     "options",
-    [{"window": 0}, {"floor": -0.1}, {"reference_error": 0.0}, {"update_min_d": float("nan")}],
+    [{"floor": -0.1}, {"reference_error": 0.0}, {"update_min_d": float("nan")}],
 )
 def test_bad_options_are_refused(options):
     with pytest.raises(InvalidInputError, match=next(iter(options))):

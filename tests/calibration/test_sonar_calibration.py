@@ -6,47 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.sonar import TRUTH, drawn_log, ring, room
 
 from beamfield.calibration.beam_table import build_beam_table
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import build_cross_fit_maps
-from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam_parameters import BeamParameters
-from beamfield.models.sonar import SonarModel
 from beamfield.sensors import RangeFinder, SensorLog
 
-TRUTH = BeamParameters(z_hit=0.7, z_short=0.1, z_max=0.12, z_rand=0.08, sigma_hit=0.06, lambda_short=0.6)
 LEARNED = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
 OPTIONS = CalibrationOptions(refine=False)
-
-
-def room() -> OccupancyGrid:
-    """Return a room of 8 m x 6 m with a half wall, a board and posts."""
-    rng = np.random.default_rng(5)
-    occupied = np.zeros((120, 160), bool)
-    occupied[[0, -1]] = occupied[:, [0, -1]] = True
-    occupied[60, :70] = occupied[30:50, 110] = True
-    for row, col in rng.integers(8, [112, 152], (10, 2)):
-        occupied[row : row + 3, col : col + 3] = True
-    return OccupancyGrid(occupied.astype(np.float32), 0.05)
-
-
-def ring(n_sensors: int) -> RangeFinder:
-    bearings = np.linspace(-np.pi, np.pi, n_sensors, endpoint=False)
-    mounts = np.column_stack([0.2 * np.cos(bearings), 0.2 * np.sin(bearings), bearings])
-    return RangeFinder(mounts, 5.0, opening_angle=np.radians(30.0), name="ring")
-
-
-def drawn_log(grid: OccupancyGrid, finder: RangeFinder, n_scans: int, seed: int) -> SensorLog:
-    """Return scans from SonarModel at random places, 5 s apart, so that no turn between them is fast."""
-    rng = np.random.default_rng(seed)
-    poses = np.column_stack([rng.uniform([0.4, 0.4], [7.6, 5.6], (4 * n_scans, 2)), rng.uniform(-3, 3, 4 * n_scans)])
-    clear = ConeCaster(grid).expected_ranges(poses, ring(16)).min(axis=1) > 0.1
-    poses = poses[clear][:n_scans]
-    scans = SonarModel(grid, TRUTH, finder=finder).sample(poses, rng=rng)
-    ranges = np.array([scan.ranges for scan in scans])
-    return SensorLog(finder, 5.0 * np.arange(n_scans), ranges, poses, np.full((n_scans, 3), np.nan))
 
 
 def as_beams(log: SensorLog) -> SensorLog:

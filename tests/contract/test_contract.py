@@ -116,7 +116,7 @@ def test_a_best_correspondence_is_the_largest_term_of_the_sum(of_unknown_id, rng
             best = models["nearest"].detection_log_likelihood(z, poses)
             assert (best <= sums + 1e-12).all()
             unknown = [i for i in range(len(z)) if z.ids is None or z.ids[i] == UNKNOWN]
-            n_terms = 1 + len(models["sum"]._things)
+            n_terms = 1 + len(models["sum"]._map_features)
             finite = np.isfinite(sums[:, unknown])
             assert (best[:, unknown][finite] >= sums[:, unknown][finite] - np.log(n_terms)).all()
             same = models["nearest"].correspondences(z, poses) == models["sum"].correspondences(z, poses)

@@ -304,7 +304,6 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
             "max_range": 5.0,
             "parameters": BEAM,
             "block_s": 5.0,
-            "level": 0.9,
         },
     ),
     (IntrinsicPriors, {}),

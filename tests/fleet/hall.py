@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
+from benchmarks.fleet_beams import FIRST_DAY, MemoryCatalogue, MemoryShard
 
 from beamfield.calibration.beam_table import build_beam_table
 from beamfield.fleet.engine import Engine
@@ -27,46 +27,7 @@ FINDER = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 60), 10.0)
 MAPPED_BOX, NEW_BOX, TROLLEY, PHANTOM = ((1.0, 1.0), (5.0, 3.0), (2.0, 4.5), (6.5, 1.5))
 ORIGIN = np.array([3.0, -2.0, 0.4])
 SITE = "hall/<1>"
-FIRST_DAY = datetime.date(2026, 3, 1)
 SINCE, DAYS, ROBOTS = 2, 6, 3
-
-
-@dataclass(frozen=True, eq=False)
-class MemoryShard:
-    """The beams of a run, in memory."""
-
-    site: str
-    robot: str
-    day: datetime.date
-    run: str
-    columns: Mapping[str, np.ndarray]
-
-    @property
-    def rows(self) -> int:
-        return len(self.columns["range"])
-
-    @property
-    def path(self) -> str:
-        return self.run
-
-    def read(self, columns: Sequence[str], *, thin: int) -> dict[str, np.ndarray]:
-        assert thin == 1
-        return {name: self.columns[name] for name in columns}
-
-
-@dataclass(frozen=True, eq=False)
-class MemoryCatalogue:
-    """Runs on one map, in memory."""
-
-    used: tuple[RunRecord, ...]
-    all_shards: tuple[MemoryShard, ...]
-    mapped: OccupancyGrid
-
-    def shards(self) -> tuple[MemoryShard, ...]:
-        return self.all_shards
-
-    def grid(self, _record: RunRecord) -> OccupancyGrid:
-        return self.mapped
 
 
 def room(*boxes: tuple[float, float]) -> OccupancyGrid:
@@ -106,7 +67,8 @@ def stale_hall() -> StaleMap:
                 "expected_range": beams.expected_ranges.astype(np.float32),
             }  # fmt: skip
             date = FIRST_DAY + datetime.timedelta(days=day)
-            shards.append(MemoryShard(SITE, f"r{robot}", date, f"r{robot}-{day}", columns))
+            run = f"r{robot}-{day}"
+            shards.append(MemoryShard(SITE, f"r{robot}", date, run, columns, path=run))
     sensor = {"mounts": FINDER.mounts.tolist(), "max_range": 10.0, "min_range": 0.0, "opening_angle": 0.0}
     known = MapInfo(0.05, (0.0, 0.0, 0.0), grid.shape, "0123456789abcdef" * 4)
     records = tuple(

@@ -375,7 +375,6 @@ def test_ranges_that_shrink_with_distance_have_no_scale(rng):
         ({"max_iterations": 0}, "max_iterations: expected at least 1, got 0"),
         ({"max_range": np.inf}, "max_range: expected a positive, finite number of metres, got inf"),
         ({"n_replicates": 1}, "n_replicates: expected at least 2, got 1"),
-        ({"level": 1.0}, "level: expected a share between 0 and 1, got 1.0"),
         ({"block_s": 0.0}, "block_s: expected a positive number of seconds, got 0.0"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, dict) else "",

@@ -118,13 +118,11 @@ def test_a_scan_without_a_measurement_is_as_likely_everywhere(grid):
         assert (result.log_likelihood[result.evaluated] == 0.0).all()
 
 
-def test_free_cells_are_evaluated_and_found_by_pose(grid, truth):
+def test_free_cells_are_evaluated(grid, truth):
     result = likelihood_map(wide_model(grid), noisy_scan(grid, truth, finder()), grid, headings=8)
     # Centres of the lattice lie on corners of the map's cells, and belong to the cell above.
     np.testing.assert_array_equal(result.evaluated, grid.free[1::2, 1::2])
     assert result.n_poses == 8 * result.evaluated.sum()
-    assert result.cell_of(truth) == (14, 21)
-    assert result.cell_of(np.array([100.0, 0.0, 0.0])) is None
     middle = np.median(result.log_likelihood[result.evaluated])
     assert result.share_above(middle) == pytest.approx(0.5, abs=0.01)
 

@@ -94,8 +94,8 @@ def test_end_points_alone_carry_a_robot_nowhere(drive: SensorLog, office: Occupa
     kept = prepare(drive, drive.odometry)
     truth, n = drive.poses[kept.scans], len(kept.scans)
     late = np.arange(n) >= n - 60
-    there = Followed(0, truth, np.where(late, 9.0, 2.0))
-    elsewhere = Followed(0, truth + np.array([8.0, 0.0, 0.0]), np.where(late, 1.0, 20.0))
+    there = Followed(truth, np.where(late, 9.0, 2.0))
+    elsewhere = Followed(truth + np.array([8.0, 0.0, 0.0]), np.where(late, 1.0, 20.0))
     course = cheapest_course(kept, [there, elsewhere], None)
     assert len(course.jumps) == 1
     assert not len(without_false_jumps(drive, office, kept, [there, elsewhere], course, None).jumps)

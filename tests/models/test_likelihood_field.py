@@ -40,16 +40,6 @@ def value(dist, parameters=PARAMETERS, max_range=MAX_RANGE):
     return math.log(parameters.z_hit * hit + parameters.z_rand / max_range)
 
 
-@pytest.fixture(scope="module")
-def room():
-    """40 x 60 cells of 10 cm, walls around, a few boxes, some of it unknown, turned and shifted."""
-    data = np.zeros((40, 60))
-    data[[0, -1]] = data[:, [0, -1]] = 100
-    data[10:14, 20:22] = data[25:27, 40:45] = 100
-    data[30:, :12] = -1
-    return OccupancyGrid.from_ros(data, 0.1, (-1.3, 2.2, 0.6))
-
-
 def poses_in(room, rng, n=200):
     inside = np.column_stack([rng.uniform(0.2, 5.8, n), rng.uniform(0.2, 3.8, n)])
     return np.column_stack([transform_points(room.origin, inside), rng.uniform(-4, 4, n)])

@@ -9,7 +9,6 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from beamfield.geometry import compose, transform_points
-from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, Scan
@@ -24,16 +23,6 @@ PARAMETERS = {
     "no hit": LikelihoodFieldParameters(0.0, 0.5, 0.1),
 }
 OPTIONS = [{}, {"off_map": "far"}, {"off_map": "far", "max_distance": 0.25}, {"unknown": "uniform"}]
-
-
-@pytest.fixture(scope="module")
-def room():
-    """40 x 60 cells of 10 cm, walls around, boxes, some of it unknown, turned and shifted."""
-    data = np.zeros((40, 60))
-    data[[0, -1]] = data[:, [0, -1]] = 100
-    data[10:14, 20:22] = data[25:27, 40:45] = 100
-    data[30:, :12] = -1
-    return OccupancyGrid.from_ros(data, 0.1, (-1.3, 2.2, 0.6))
 
 
 @pytest.fixture

@@ -115,9 +115,7 @@ def fit_candidates(
     )
 
 
-def learn_form(
-    table: BeamTable, hold: Mapping[str, float], *, offset: bool = False, slope: bool = False
-) -> LearningResult:
+def learn_form(table: BeamTable, hold: Mapping[str, float], *, offset: bool, slope: bool = False) -> LearningResult:
     """Learn the parameters of one form of the hit component from a table's beams; see `learn_intrinsic_parameters`."""
     return learn_intrinsic_parameters(
         table.ranges,
@@ -136,7 +134,7 @@ def form_intervals(
     hold: Mapping[str, float],
     block_s: float | None,
     *,
-    offset: bool = False,
+    offset: bool,
     slope: bool = False,
 ) -> IntervalResult:
     """Return the intervals of parameters that were learned from these beams; see `block_intervals`."""

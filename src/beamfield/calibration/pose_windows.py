@@ -218,7 +218,7 @@ def _times_as_long(fewest: int) -> float:
 
 
 def window_block_s(
-    log: SensorLog, grid: OccupancyGrid, options: WindowOptions, selection: SelectionOptions | None = None
+    log: SensorLog, grid: OccupancyGrid, options: WindowOptions, selection: SelectionOptions | None
 ) -> float | None:
     """Return the length of blocks, seconds, that `cut_windows` takes if given none; None: that of `time_blocks`."""
     return _block_length(log, _groups(log, grid, options, selection))

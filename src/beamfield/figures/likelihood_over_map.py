@@ -38,12 +38,12 @@ CELLS_ACROSS = 400
 
 
 def likelihood_figure(
-    scan: Scan, grid: OccupancyGrid, result: LikelihoodMap, reference: FloatArray | None = None, *, model_name: str = ""
+    scan: Scan, grid: OccupancyGrid, result: LikelihoodMap, reference: FloatArray | None, *, model_name: str
 ) -> Figure:
     """Draw (a) a scan at its reference pose in the map, if there is one, and (b) its likelihood over the map."""
     limits = known_limits(grid)
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
-    title = "p(z | x, m), the best heading at each place" + (f": {model_name}" if model_name else "")
+    title = f"p(z | x, m), the best heading at each place: {model_name}"
     if reference is None:
         figure = new_figure(8.0, float(np.clip(7.0 * aspect + 1.2, 3.5, 10.0)))
         draw_likelihood_map(result, grid, figure.add_subplot(), title=title)

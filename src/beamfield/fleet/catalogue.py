@@ -61,14 +61,14 @@ class Catalogue:
         named = {file.path for record in self.runs for file in record.files}
         return tuple(path for path in files if path not in named)
 
-    def shards(self, site: str | None = None, robot: str | None = None) -> tuple[Shard, ...]:
-        """Return the files of beams of the runs used, by path; those of a site or robot alone."""
+    def shards(self, robot: str | None = None) -> tuple[Shard, ...]:
+        """Return the files of beams of the runs used, by path; those of a robot alone."""
         found = (
             Shard(record.site, record.robot, datetime.date.fromisoformat(file.day), record.run, file.rows, file.path,
                   self.folder)
             for record in self.used
             for file in record.files
-            if site in (None, record.site) and robot in (None, record.robot)
+            if robot in (None, record.robot)
         )  # fmt: skip
         return tuple(sorted(found, key=lambda one: one.path))
 

@@ -15,7 +15,7 @@ from beamfield.fleet.shard_passes import metres, sensor_limits
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.scan_fit.changed_places import SIDE, Reading
+from beamfield.scan_fit.changed_places import Reading
 from beamfield.scan_fit.place_beams import MOST_BEAMS, judge_table
 from beamfield.scan_fit.place_tallies import Lattice, tally_short, tally_walls
 
@@ -62,7 +62,7 @@ class RunCounts(NamedTuple):
 def count_places(job: CountJob) -> RunCounts:
     """Return what the beams of a run say about each square of the map."""
     grid = _grid(job.catalogue, job.map_hash, job.record)
-    lattice, finder = Lattice.over(grid, SIDE), job.record.finder
+    lattice, finder = Lattice.over(grid), job.record.finder
     columns = job.shard.read(COLUMNS, thin=1 + job.shard.rows // MOST_BEAMS)
     ranges, expected, _ = metres(columns["range"], columns["expected_range"], sensor_limits(job.record))
     table = BeamTable(

@@ -176,7 +176,7 @@ class FleetPlan:
 
 
 @checked
-def plan_fleet(size: FleetSize | None = None, *, seed: int = 1) -> FleetPlan:
+def plan_fleet(size: FleetSize, *, seed: int = 1) -> FleetPlan:
     """Draw robots, sites and faults.
 
     The last site changes after half of the time. Of each kind of fault there is one robot in `ROBOTS_PER_FAULT`, at
@@ -186,7 +186,7 @@ def plan_fleet(size: FleetSize | None = None, *, seed: int = 1) -> FleetPlan:
     Parameters
     ----------
     size
-        How large; None: 24 robots on 3 sites for 14 days.
+        How large.
     seed
         Chooses everything.
 
@@ -196,7 +196,6 @@ def plan_fleet(size: FleetSize | None = None, *, seed: int = 1) -> FleetPlan:
     >>> [robot.name for robot in plan.robots if robot.fault is None]
     ['robot-02', 'robot-03', 'robot-06', 'robot-07']
     """
-    size = size or FleetSize()
     as_count(seed, "seed", least=0)
     rng = np.random.default_rng(seed)
     sites = tuple(

@@ -24,7 +24,7 @@ from beamfield.fleet.site_runs import SiteRuns, SquareRates
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.scan_fit.changed_places import LASTING, NEIGHBOURS, SIDE, Kind, Reading
+from beamfield.scan_fit.changed_places import LASTING, NEIGHBOURS, Kind, Reading
 from beamfield.scan_fit.place_tallies import Lattice
 from beamfield.scan_fit.place_visits import MOST_PASSING, Tally, Visits
 from beamfield.short_repr import short_repr
@@ -172,7 +172,7 @@ def find_stale_places(
         show = None if progress is None else _later(progress, before, len(jobs))
         counts = engine.map(count_places, mine, progress=show)
         grid = catalogue.grid(mine[0].record)
-        runs = SiteRuns.of([job.shard for job in mine], counts, Lattice.over(grid, SIDE))
+        runs = SiteRuns.of([job.shard for job in mine], counts, Lattice.over(grid))
         found.append(_stale_map(site, map_hash, grid, runs))
     return tuple(found)
 

@@ -12,7 +12,7 @@ from beamfield.calibration.time_split import FEWEST_TRUSTED_BLOCKS
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.landmark_noise.em import LEAST_SIGMA_BEARING, LEAST_SIGMA_RANGE, NoiseClimb, NoiseTheta
-from beamfield.landmark_noise.intervals import NoiseIntervals
+from beamfield.landmark_noise.intervals import LEVEL, NoiseIntervals
 from beamfield.landmark_noise.sighting_table import SightingTable
 
 # A bias of less than this share of sigma hardly moves a likelihood.
@@ -177,7 +177,7 @@ def _spurious_finding(intervals: NoiseIntervals, of_landmark: FloatArray) -> Ite
     if "spurious_rate" not in intervals.intervals or expected >= 1.0:
         return
     upper = intervals.intervals["spurious_rate"][1]
-    text = f"No sighting looks spurious: the rate is below {upper:.2g} ({intervals.level:.0%}), not 0."
+    text = f"No sighting looks spurious: the rate is below {upper:.2g} ({LEVEL:.0%}), not 0."
     yield Finding("no-spurious", "info", text, {"expected": expected, "upper": upper})
 
 

@@ -17,6 +17,8 @@ from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.landmark_noise.em import NoiseLikelihood, NoiseTheta, climb_noise
 
+# The share of intervals that are to hold the truth.
+LEVEL = 0.95
 # A replicate is found when further iterations promise less than this over all its sightings: a fifth of the standard
 # error that independent sightings would have, and theirs depend.
 _NATS_LEFT = 0.02
@@ -25,7 +27,7 @@ _MOST_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class NoiseIntervals:
-    """Intervals from a bootstrap of blocks.
+    """95% intervals from a bootstrap of blocks.
 
     Parameters
     ----------
@@ -33,15 +35,12 @@ class NoiseIntervals:
         (low, high) per learned parameter; empty where there is one block only.
     standard_errors
         Standard error per learned parameter.
-    level
-        The share of such intervals that are to hold the truth.
     n_blocks
         Stretches of time or place that were resampled.
     """
 
     intervals: Mapping[str, tuple[float, float]]
     standard_errors: Mapping[str, float]
-    level: float
     n_blocks: int
 
 
@@ -51,7 +50,6 @@ def noise_intervals(
     theta: NoiseTheta,
     *,
     n_replicates: int,
-    level: float,
     seed: int,
     progress: Callable[[int, int], None] | None,
 ) -> NoiseIntervals:
@@ -65,8 +63,8 @@ def noise_intervals(
         (n,) block of each sighting.
     theta
         What was learned from all sightings; each replicate starts there.
-    n_replicates, level, seed
-        Number of samples, share of intervals that are to hold the truth, and the seed for the samples.
+    n_replicates, seed
+        Number of samples, and the seed for them.
     progress
         Called with the number of finished replicates and their total.
 
@@ -77,7 +75,7 @@ def noise_intervals(
     Raises
     ------
     InvalidInputError
-        If there are fewer than two replicates, or the level is no share.
+        If there are fewer than two replicates.
 
     Notes
     -----
@@ -97,32 +95,27 @@ def noise_intervals(
     from survey data", Survey Methodology 24, 1998.
     """
     require(n_replicates >= 2, "n_replicates", "at least 2", n_replicates)
-    require(0.0 < level < 1.0, "level", "a share between 0 and 1", level)
     _, number = np.unique(blocks, return_inverse=True)
     n_blocks = int(number.max()) + 1
     if n_blocks == 1:
-        return NoiseIntervals({}, {}, level, 1)
+        return NoiseIntervals({}, {}, 1)
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(n_blocks, np.full(n_blocks, 1.0 / n_blocks), size=n_replicates)
     replicates = _replicates(likelihood, number, theta, draws, progress)
     scatter = replicates.std(axis=0, ddof=1) * math.sqrt(n_blocks / (n_blocks - 1))
     errors = {name: float(scatter[NoiseTheta._fields.index(name)]) for name in _learned(likelihood)}
-    intervals = {
-        name: _interval(name, theta, error, level, n_blocks, len(likelihood)) for name, error in errors.items()
-    }
-    return NoiseIntervals(intervals, errors, level, n_blocks)
+    intervals = {name: _interval(name, theta, error, n_blocks, len(likelihood)) for name, error in errors.items()}
+    return NoiseIntervals(intervals, errors, n_blocks)
 
 
-def _interval(
-    name: str, theta: NoiseTheta, error: float, level: float, n_blocks: int, n_sightings: int
-) -> tuple[float, float]:
+def _interval(name: str, theta: NoiseTheta, error: float, n_blocks: int, n_sightings: int) -> tuple[float, float]:
     value = getattr(theta, name)
-    t = float(stdtrit(n_blocks - 1, 0.5 + 0.5 * level))
+    t = float(stdtrit(n_blocks - 1, 0.5 + 0.5 * LEVEL))
     if name == "spurious_rate":
-        wider = t / float(ndtri(0.5 + 0.5 * level))
+        wider = t / float(ndtri(0.5 + 0.5 * LEVEL))
         if value * n_sightings < 1.0 or error == 0.0:
-            return 0.0, min(max(value + t * error, -math.log(1.0 - level) * wider**2 / n_sightings), 1.0)
-        return share_interval(value, (error * wider) ** 2, 1.0 - level)
+            return 0.0, min(max(value + t * error, -math.log(1.0 - LEVEL) * wider**2 / n_sightings), 1.0)
+        return share_interval(value, (error * wider) ** 2, 1.0 - LEVEL)
     if name in ("sigma_range", "sigma_bearing"):
         return value * math.exp(-t * error / value), value * math.exp(t * error / value)
     return value - t * error, value + t * error

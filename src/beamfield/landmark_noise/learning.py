@@ -40,9 +40,8 @@ class LandmarkLearningResult:
     parameters
         The maximum-likelihood parameters, ready for `LandmarkModel`.
     intervals, standard_errors
-        By block bootstrap, per learned parameter by its name; empty where all sightings lie in one block.
-    level
-        The share of such intervals that are to hold the truth.
+        95% intervals and standard errors by block bootstrap, per learned parameter by its name; empty where all
+        sightings lie in one block.
     log_likelihood
         At the parameters, nats per sighting.
     converged
@@ -58,7 +57,6 @@ class LandmarkLearningResult:
     parameters: LandmarkParameters
     intervals: Mapping[str, tuple[float, float]]
     standard_errors: Mapping[str, float]
-    level: float
     log_likelihood: float
     converged: bool
     n_sightings: int
@@ -98,7 +96,6 @@ def learn_landmark_parameters(
     max_range: float | None = None,
     block_s: float | None = None,
     n_replicates: int = 200,
-    level: float = 0.95,
     seed: int = 0,
     max_iterations: int = 1000,
     progress: Callable[[int, int], None] | None = None,
@@ -129,7 +126,7 @@ def learn_landmark_parameters(
     block_s
         Length of the blocks of time for held-out sightings and intervals, seconds; None takes the log's places, or a
         24th of its duration.
-    n_replicates, level, seed
+    n_replicates, seed
         Of the bootstrap.
     max_iterations
         Of EM, at most.
@@ -199,7 +196,7 @@ def learn_landmark_parameters(
     if climb.theta.spurious_rate * len(table) < NO_SIGHTING:
         climb = replace(climb, theta=climb.theta._replace(spurious_rate=0.0))
     intervals = noise_intervals(
-        likelihood, table.blocks, climb.theta, n_replicates=n_replicates, level=level, seed=seed, progress=progress
+        likelihood, table.blocks, climb.theta, n_replicates=n_replicates, seed=seed, progress=progress
     )
     of_landmark = likelihood.e_step(climb.theta)[1]
     residuals = _remaining(table, climb.theta)
@@ -207,7 +204,6 @@ def learn_landmark_parameters(
         parameters=_as_parameters(climb.theta, limit if limit is not None else max_range),
         intervals=intervals.intervals,
         standard_errors=intervals.standard_errors,
-        level=level,
         log_likelihood=climb.trace[-1],
         converged=climb.converged,
         n_sightings=len(table),

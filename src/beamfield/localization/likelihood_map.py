@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from beamfield.arguments import as_count, check_magnitude, checked
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose, invert, transform_points, wrap_angle
+from beamfield.geometry import FloatArray, compose, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel, check_takes_poses_alone
 from beamfield.models.local_map_cells import LocalMap
@@ -106,19 +106,6 @@ class LikelihoodMap:
         centre = (np.stack([np.asarray(cols), np.asarray(rows)], axis=-1) + 0.5) * self.resolution
         heading = wrap_angle(self.headings[index] - self.origin[2])
         return compose(self.origin, np.concatenate([centre, heading[..., None]], axis=-1))
-
-    def cell_of(self, pose: FloatArray) -> tuple[int, int] | None:
-        """Return (row, col) of the cell in which a pose lies; None off the lattice.
-
-        Parameters
-        ----------
-        pose
-            (3,) metres and radians.
-        """
-        x, y, _ = compose(invert(self.origin), as_poses(pose, "pose"))
-        row, col = int(np.floor(y / self.resolution)), int(np.floor(x / self.resolution))
-        inside = 0 <= row < self.evaluated.shape[0] and 0 <= col < self.evaluated.shape[1]
-        return (row, col) if inside else None
 
     def share_above(self, log_likelihood: float) -> float:
         """Return the share of the evaluated cells whose value is larger than this."""

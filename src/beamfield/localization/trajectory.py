@@ -22,7 +22,7 @@ from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.outdated_map import find_outdated_map
 from beamfield.maps.range_scale import require_metres
-from beamfield.sensors import SensorLog, Track
+from beamfield.sensors import SensorLog
 from beamfield.short_repr import short_repr
 
 Progress = Callable[[str, int, int], None]
@@ -79,11 +79,6 @@ class TrajectoryFit:
 
     def __len__(self) -> int:
         return len(self.stamps)
-
-    @property
-    def track(self) -> Track:
-        """The poses with their stamps, for writing."""
-        return Track(self.stamps, self.poses)
 
     def summary(self) -> str:
         """Return what was found in a few lines."""

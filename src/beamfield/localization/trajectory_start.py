@@ -53,13 +53,10 @@ class Followed:
 
     Parameters
     ----------
-    place
-        Index of the scan, of those held to the map, at which it was found.
     poses, costs
         (n, 3) and (n,): pose of and cost in nats at each scan held to the map.
     """
 
-    place: int
     poses: FloatArray
     costs: FloatArray
 
@@ -206,7 +203,7 @@ def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray, hits: HitN
         covariance = np.diag([SEARCH_DEVIATION[0] ** 2] * 2 + [SEARCH_DEVIATION[1] ** 2])
         kernels.track(drive.points, drive.first, steps, walls, hits, judged, TRACK_STEPS, INDEPENDENT, place,
                       direction, poses, covariance, costs)  # fmt: skip
-    return Followed(place, poses, costs)
+    return Followed(poses, costs)
 
 
 def _places(drive: Drive) -> list[int]:

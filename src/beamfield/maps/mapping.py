@@ -120,9 +120,10 @@ def local_map(
     n: int = 10,
     resolution: float = 0.05,
     poses: ArrayLike | None = None,
-    inverse_model: InverseSensorModel | None = None,
 ) -> OccupancyGrid:
     """Build a local map from the last n scans, in the robot's frame at the last of them (Figure 6.12).
+
+    A reading says more about a cell than in `build_map` (0.97 and 0.03), because few scans see it.
 
     Parameters
     ----------
@@ -137,8 +138,6 @@ def local_map(
     poses
         (t, 3) poses of the robot, one per scan of the log; only their differences matter, so `log.odometry` will do.
         None takes the log's reference poses.
-    inverse_model
-        What a reading says about cells; by default the confident one, because few scans see a cell.
 
     Returns
     -------
@@ -167,8 +166,8 @@ def local_map(
     if not np.isfinite(track[index]).all():
         raise TooLittleDataError(f"building a local map: scan {index} has no pose")
     part = np.arange(max(0, index - n + 1), index + 1)
-    seen_from, model = compose(invert(track[index]), track[part]), CONFIDENT if inverse_model is None else inverse_model
-    return build_map(log.select(part), resolution=resolution, poses=seen_from, inverse_model=model)
+    seen_from = compose(invert(track[index]), track[part])
+    return build_map(log.select(part), resolution=resolution, poses=seen_from, inverse_model=CONFIDENT)
 
 
 @checked

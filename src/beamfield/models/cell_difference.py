@@ -26,7 +26,7 @@ class CellDifferenceModel(LocalMapModel):
     sigma
         Standard deviation of the difference of a cell. Cells of one wall are not independent, so that values of several
         units are usual: at 1, a hundred wrong cells cost 50 nats.
-    min_overlap, inverse_model
+    min_overlap
         As for `MapMatchingModel`.
 
     Raises

@@ -24,7 +24,7 @@ from beamfield.models.assignment import assign_exclusively
 from beamfield.models.line_detections import LineDetections
 
 Correspondence = Literal["known", "nearest", "sum", "assignment"]
-# Values per pose, feature and thing in memory at a time: 8 MB.
+# Values per pose, feature and map feature in memory at a time: 8 MB.
 VALUES_PER_CHUNK = 1_000_000
 _NO_FEATURES = np.empty(0, dtype=np.int64)
 
@@ -36,9 +36,9 @@ class Given(NamedTuple):
     """What is given of the correspondences of one observation, as indices of features."""
 
     known: NDArray[np.int64]
-    """Features whose thing is known."""
+    """Features whose map feature is known."""
     which: NDArray[np.int64]
-    """The index of that thing."""
+    """The index of that map feature."""
     unknown: NDArray[np.int64]
     """Features whose correspondence is unknown."""
     spurious: NDArray[np.int64]
@@ -48,21 +48,21 @@ class Given(NamedTuple):
 class Tables(NamedTuple):
     """What the kernels need of map and observation."""
 
-    things: FloatArray
+    map_features: FloatArray
     """(N, c) the map."""
     features: FloatArray
     """(k, 5) the features."""
     base: FloatArray
-    """(k, N) constants given each thing, or (k,) where they are the same for all."""
+    """(k, N) constants given each map feature, or (k,) where they are the same for all."""
     log_spurious: FloatArray
     """(k,) log density given nothing in the map."""
 
 
 @dataclass(frozen=True, eq=False)
 class CorrespondenceModel(ABC, Generic[Z]):
-    """p(f(z) | x, m) of features, each of one thing of the map or of none; independent given pose and map (6.39).
+    """p(f(z) | x, m) of features, each of one map feature or of none; independent given pose and map (6.39).
 
-    A model of landmarks or lines says how likely a feature is given its thing; what follows from that is here.
+    A model of landmarks or lines says how likely a feature is given its map feature; what follows from that is here.
 
     Parameters
     ----------
@@ -72,12 +72,13 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
         - "known": refuse them.
         - "sum": the sum over all correspondences, ``spurious_rate p(f | none) + (1 - spurious_rate) / N sum_j p(f |
-          j)``: each of the N things is as likely as any other before the feature is seen. A density.
-        - "nearest": the largest term of that sum, the most probable thing or none. With equal noise for all things the
-          best thing is that of the least Mahalanobis distance over all that was measured. Not a density over features.
-        - "assignment": as "nearest", for all features of unknown id together, and no thing explains two of them
-          (things that known ids name are taken). -inf if there are more features than things and spurious_rate is 0.
-          Not a density over features. A wall that is seen in pieces needs another.
+          j)``: each of the N map features is as likely as any other before the feature is seen. A density.
+        - "nearest": the largest term of that sum, the most probable map feature or none. With equal noise for all of
+          them the best one is that of the least Mahalanobis distance over all that was measured. Not a density over
+          features.
+        - "assignment": as "nearest", for all features of unknown id together, and no map feature explains two of them
+          (those that known ids name are taken). -inf if there are more features than map features and spurious_rate is
+          0. Not a density over features. A wall that is seen in pieces needs another.
     mount
         (3,) pose of the sensor on the robot, metres and radians; zero for features in the robot's frame.
 
@@ -165,7 +166,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
     @checked
     def correspondences(self, z: Z, poses: ArrayLike) -> NDArray[np.int64]:
-        """Return the id of the thing that each feature is taken for.
+        """Return the id of the map feature that each feature is taken for.
 
         Parameters
         ----------
@@ -174,8 +175,8 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
         Returns
         -------
-        (..., k) ids; `SPURIOUS` for nothing in the map. With correspondence "sum" it is the most probable thing of each
-        feature. Where nothing explains a feature (a type that no landmark can show, no room for an assignment),
+        (..., k) ids; `SPURIOUS` for nothing in the map. With correspondence "sum" it is the most probable map feature
+        of each feature. Where nothing explains a feature (a type that no landmark can show, no room for an assignment),
         `UNKNOWN`.
 
         Raises
@@ -187,7 +188,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
     @property
     @abstractmethod
-    def _things(self) -> LandmarkMap | LineMap:
+    def _map_features(self) -> LandmarkMap | LineMap:
         """The map."""
 
     @property
@@ -200,9 +201,9 @@ class CorrespondenceModel(ABC, Generic[Z]):
         """Return what the kernels need, or refuse features that are not what the model needs."""
 
     def _exclude(
-        self, z: Z, given: Given, flat: FloatArray, mount: FloatArray, things: FloatArray, each: FloatArray
+        self, z: Z, given: Given, flat: FloatArray, mount: FloatArray, map_features: FloatArray, each: FloatArray
     ) -> None:
-        """Set candidates (n, unknown, N) that are none to -inf; poses, mount and things (c, N) as for the kernels."""
+        """Set candidates (n, unknown, N) that are none to -inf; poses, mount, map_features (c, N): see the kernels."""
 
     def _prepare(self, z: Z) -> tuple[Given, Tables]:
         given = self._given(z.ids, len(z))
@@ -217,9 +218,9 @@ class CorrespondenceModel(ABC, Generic[Z]):
         if ids is None:
             return Given(_NO_FEATURES, _NO_FEATURES, np.arange(n), _NO_FEATURES)
         places = np.empty((4, n), dtype=np.int64)
-        known, unknown, spurious = sort_by_id(ids, self._things.ids, self._things.by_id, UNKNOWN, places)
+        known, unknown, spurious = sort_by_id(ids, self._map_features.ids, self._map_features.by_id, UNKNOWN, places)
         if known < 0:
-            self._things.indices_of(ids[-1 - known])  # which says so
+            self._map_features.indices_of(ids[-1 - known])  # which says so
         return Given(places[0, :known], places[1, :known], places[2, :unknown], places[3, :spurious])
 
     def _evaluate(self, z: Z, poses: ArrayLike) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -232,49 +233,49 @@ class CorrespondenceModel(ABC, Generic[Z]):
         values[:, given.spurious] = tables.log_spurious[given.spurious]
         if len(given.known):
             self._add_known(given, tables, flat, values, each=True)
-            ids[:, given.known] = self._things.ids[given.which]
+            ids[:, given.known] = self._map_features.ids[given.which]
         if len(given.unknown):
             values[:, given.unknown], chosen = self._unknown(z, given, tables, flat)
             # Index N means none, N + 1 unknown.
-            ids[:, given.unknown] = np.append(self._things.ids, [SPURIOUS, UNKNOWN])[chosen]
+            ids[:, given.unknown] = np.append(self._map_features.ids, [SPURIOUS, UNKNOWN])[chosen]
         shape = (*robot.shape[:-1], len(z))
         return values.reshape(shape), ids.reshape(shape)
 
     def _add_known(self, given: Given, tables: Tables, flat: FloatArray, out: FloatArray, *, each: bool) -> None:
-        """Add the features whose things are known to out: each to its own column of (n, k), or all to (n, 1)."""
-        mount = self._mount_in_sensor_axes
+        """Add the features whose map features are known to out: each to its own column of (n, k), or all to (n, 1)."""
+        mount, (map_features, features, base, _) = self._mount_in_sensor_axes, tables
 
         def work(a: int, b: int) -> None:
             self._kernels.add_known(
-                flat[a:b], mount, tables.features, tables.things, tables.base, given.known, given.which, each, out[a:b]
+                flat[a:b], mount, features, map_features, base, given.known, given.which, each, out[a:b]
             )
 
         run_in_blocks(work, len(flat), work_per_row=1 + len(given.known) // 2)
 
     def _unknown(self, z: Z, given: Given, tables: Tables, flat: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Return values and indices of things (N for none, N + 1 where there is no room), each (n, unknown)."""
-        k, n_things = len(given.unknown), len(self._things)
+        """Return values and indices of map features (N for none, N + 1 where there is no room), each (n, unknown)."""
+        k, n_map_features = len(given.unknown), len(self._map_features)
         values = np.empty((len(flat), k))
         chosen = np.empty((len(flat), k), dtype=np.int64)
         features, base = (table.take(given.unknown, axis=0) for table in (tables.features, tables.base))
         none = tables.log_spurious.take(given.unknown) + _log(self._spurious_rate)
-        things, mount = tables.things.T.copy(), self._mount_in_sensor_axes
+        map_features, mount = tables.map_features.T.copy(), self._mount_in_sensor_axes
         if self.correspondence == "nearest" and hasattr(self._kernels, "fill_nearest"):
-            prior = self._log_share_of_thing()
+            prior = self._log_share_of_map_feature()
 
             def nearest(a: int, b: int) -> None:
                 self._kernels.fill_nearest(
-                    flat[a:b], mount, features, things, base, prior, none, values[a:b], chosen[a:b]
+                    flat[a:b], mount, features, map_features, base, prior, none, values[a:b], chosen[a:b]
                 )
 
-            run_in_blocks(nearest, len(flat), work_per_row=1 + k * n_things // 8)
+            run_in_blocks(nearest, len(flat), work_per_row=1 + k * n_map_features // 8)
             return values, chosen
-        rows = max(1, VALUES_PER_CHUNK // (k * (n_things + 1)))
+        rows = max(1, VALUES_PER_CHUNK // (k * (n_map_features + 1)))
 
         def chunk(a: int, b: int) -> None:
-            each = np.empty((b - a, k, n_things))
-            self._kernels.fill_candidates(flat[a:b], mount, features, things, base, each)
-            self._exclude(z, given, flat[a:b], mount, things, each)
+            each = np.empty((b - a, k, n_map_features))
+            self._kernels.fill_candidates(flat[a:b], mount, features, map_features, base, each)
+            self._exclude(z, given, flat[a:b], mount, map_features, each)
             self._choose(each, none, given.which, values[a:b], chosen[a:b])
 
         def work(start: int, stop: int) -> None:
@@ -282,7 +283,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
                 # Its memory is free again before the next one asks for it.
                 chunk(a, min(a + rows, stop))
 
-        run_in_blocks(work, len(flat), work_per_row=k * n_things)
+        run_in_blocks(work, len(flat), work_per_row=k * n_map_features)
         return values, chosen
 
     def _choose(
@@ -293,8 +294,8 @@ class CorrespondenceModel(ABC, Generic[Z]):
         values: FloatArray,
         chosen: NDArray[np.int64],
     ) -> None:
-        n_things = each.shape[-1]
-        prior = self._log_share_of_thing()
+        n_map_features = each.shape[-1]
+        prior = self._log_share_of_map_feature()
         if self.correspondence == "assignment":
             # Taken by a feature whose id is known.
             each[..., taken] = -np.inf
@@ -302,16 +303,16 @@ class CorrespondenceModel(ABC, Generic[Z]):
             return
         chosen[...] = each.argmax(axis=-1)
         values[...] = each.max(axis=-1) + prior
-        chosen[none > values] = n_things
-        chosen[np.maximum(values, none) == -np.inf] = n_things + 1
+        chosen[none > values] = n_map_features
+        chosen[np.maximum(values, none) == -np.inf] = n_map_features + 1
         if self.correspondence == "sum":
             fill_sums(each, prior, none, values)
         else:
             np.maximum(values, none, out=values)
 
-    def _log_share_of_thing(self) -> float:
-        """Return the log probability that a feature is of one certain thing, before it is seen."""
-        return math.log1p(-self._spurious_rate) - math.log(len(self._things))
+    def _log_share_of_map_feature(self) -> float:
+        """Return the log probability that a feature is of one certain map feature, before it is seen."""
+        return math.log1p(-self._spurious_rate) - math.log(len(self._map_features))
 
     @cached_property
     def _mount_in_sensor_axes(self) -> FloatArray:

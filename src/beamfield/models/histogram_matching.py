@@ -27,7 +27,7 @@ class HistogramMatchingModel(LocalMapModel):
     ----------
     grid
         The global map.
-    min_overlap, inverse_model
+    min_overlap
         As for `MapMatchingModel`.
 
     Raises

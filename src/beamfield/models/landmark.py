@@ -173,7 +173,7 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         ]
 
     @property
-    def _things(self) -> LandmarkMap:
+    def _map_features(self) -> LandmarkMap:
         return self.landmarks
 
     @property

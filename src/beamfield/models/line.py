@@ -220,7 +220,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
         return [LineDetections(lines, brought, ids=seen) for lines in measured]
 
     @property
-    def _things(self) -> LineMap:
+    def _map_features(self) -> LineMap:
         return self.lines
 
     @property
@@ -247,13 +247,12 @@ class LineModel(CorrespondenceModel[LineDetections]):
         rho, alpha = self.lines.lines.T
         return np.column_stack([np.cos(alpha), np.sin(alpha), rho, alpha])
 
-    def _exclude(
-        self, z: LineDetections, given: Given, flat: FloatArray, mount: FloatArray, things: FloatArray, each: FloatArray
-    ) -> None:
+    def _exclude(self, z: LineDetections, given: Given, flat: FloatArray, mount: FloatArray, map_features: FloatArray,
+                 each: FloatArray) -> None:  # fmt: skip
         if self.min_overlap is None or z.segments is None:
             return
         extents, ends = np.ascontiguousarray(self.lines.extents().T), z.segments[given.unknown]
-        kernels.exclude_apart(flat, mount, ends, things, extents, self.min_overlap, each)
+        kernels.exclude_apart(flat, mount, ends, map_features, extents, self.min_overlap, each)
 
     def _total_covariances(self, brought: FloatArray | None, k: int) -> FloatArray:
         """Return (k, 2, 2) what detections bring plus the parameters' noise."""

@@ -59,8 +59,6 @@ class LineDetections:
         (k, 4) end points x1, y1, x2, y2 in the sensor's frame, metres, in any order; None if there are none.
     ids
         (k,) id of each line in the map, `SPURIOUS` or `UNKNOWN`; None if none is known.
-    stamp
-        Seconds.
 
     Raises
     ------
@@ -80,7 +78,6 @@ class LineDetections:
     covariances: FloatArray | None = None
     segments: FloatArray | None = None
     ids: NDArray[np.int64] | None = None
-    stamp: float = 0.0
 
     __repr__ = short_repr
 
@@ -147,7 +144,7 @@ class LineDetections:
 
         Returns
         -------
-        The detections with the same stamp.
+        The detections chosen.
 
         Raises
         ------

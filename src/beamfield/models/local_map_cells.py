@@ -12,7 +12,7 @@ from beamfield.arguments import check_fields, keep, require
 from beamfield.geometry import FloatArray
 from beamfield.kernels import correlation as kernels
 from beamfield.kernels.threads import run_in_blocks
-from beamfield.maps.mapping import CONFIDENT, InverseSensorModel, scan_map
+from beamfield.maps.mapping import scan_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.short_repr import short_repr
@@ -31,8 +31,6 @@ class LocalMapModel:
         The global map.
     min_overlap
         Least share of the local map's defined cells that must lie on defined cells of the map.
-    inverse_model
-        How a scan becomes a local map; by default confident (0.97 and 0.03).
 
     Raises
     ------
@@ -44,7 +42,6 @@ class LocalMapModel:
 
     grid: OccupancyGrid
     min_overlap: float = field(default=0.2, kw_only=True)
-    inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
     _table: NDArray[Any] = field(init=False, repr=False)
 
     __repr__ = short_repr
@@ -60,7 +57,7 @@ class LocalMapModel:
 
     def _cells(self, z: LocalMap) -> LocalCells:
         """Return the defined cells of a measurement."""
-        return local_cells(z, self.grid.resolution, self.inverse_model)
+        return local_cells(z, self.grid.resolution)
 
 
 class LocalCells(NamedTuple):
@@ -90,14 +87,14 @@ class OverlapSums(NamedTuple):
     map_square: FloatArray
 
 
-def local_cells(z: LocalMap, resolution: float, inverse_model: InverseSensorModel) -> LocalCells:
+def local_cells(z: LocalMap, resolution: float) -> LocalCells:
     """Return the defined cells of a measurement; a scan is turned into a map first.
 
     Returns
     -------
     L cells, perhaps none; cells without a probability (NaN) are left out.
     """
-    local = scan_map(z, resolution=resolution, inverse_model=inverse_model) if isinstance(z, Scan) else z
+    local = scan_map(z, resolution=resolution) if isinstance(z, Scan) else z
     rows, cols = np.nonzero(~np.isnan(local.probability))
     centres = local.to_map(np.column_stack([cols, rows]) + 0.5) / resolution
     return LocalCells(centres[:, 0].copy(), centres[:, 1].copy(), local.probability[rows, cols])

@@ -52,8 +52,6 @@ class MapMatchingModel(LocalMapModel):
     min_overlap
         Least share of the local map's defined cells that must lie on defined cells of the map; with less, the
         correlation is not determined.
-    inverse_model
-        How a scan becomes a local map; by default confident (0.97 and 0.03).
 
     Raises
     ------
@@ -69,7 +67,7 @@ class MapMatchingModel(LocalMapModel):
 
     The mean of (6.36) runs over both maps, as printed. So the correlation is 1 only if the two maps agree in their
     values and not just in their pattern: a local map of timid values (0.4 for free) lies on one side of the mean of a
-    map of 0 and 1 and scores below 0 at the true pose. Therefore scans become confident maps here.
+    map of 0 and 1 and scores below 0 at the true pose. Therefore scans become confident maps here (0.97 and 0.03).
 
     The overlap decides nothing as long as it reaches `min_overlap`; a pose half off the map may score as high as one in
     its middle. A measurement without any defined cell says nothing: log p = 0 at every pose.

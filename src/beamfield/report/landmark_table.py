@@ -33,4 +33,4 @@ def landmark_parameter_table(result: LandmarkLearningResult) -> str:
         decimals = decimals_for((high - low) / 2.0)
         interval = f"[{low:.{decimals}f}, {high:.{decimals}f}]" if math.isfinite(low) else "not determined"
         rows.append((name, f"{value:.{decimals}f}", interval, unit, meaning))
-    return aligned(("parameter", "value", f"{100.0 * result.level:g}% interval", "unit", "meaning"), rows, right=(1,))
+    return aligned(("parameter", "value", "95% interval", "unit", "meaning"), rows, right=(1,))

@@ -92,7 +92,7 @@ def odometry_as_dict(result: OdometryCalibration, programs: Programs) -> dict[st
         "n_faults": len(result.fault_stamps),
         "n_steps": result.n_steps,
         "n_blocks": result.n_blocks,
-        "options": asdict(result.options),
+        "options": {**asdict(result.options), "window": result.windows.length},
         "programs": {name: {model: dict(values) for model, values in of.items()} for name, of in programs.items()},
         "findings": plain(result.findings),
     }
@@ -140,7 +140,7 @@ def _length_line(result: OdometryCalibration) -> str:
     lengths = ", ".join(f"{alpha:.2g} over {steps}" for steps, alpha in result.by_length)
     return (
         f"One common alpha by the update steps of a window: {lengths}; with systematic errors put right "
-        f"{result.corrected_alpha:.2g} over {result.options.window}."
+        f"{result.corrected_alpha:.2g} over {result.windows.length}."
     )
 
 
@@ -149,8 +149,9 @@ def _advice_line(result: OdometryCalibration) -> str:
     options = result.options
     return (
         f"Advised at updates every {options.update_min_d:g} m or {options.update_min_a:g} rad: {values} (none below "
-        f"{options.floor:g}). {result.n_windows} windows of {options.window} steps, {len(result.fault_stamps)} of them "
-        f"faults; 95% regions hold the reference in {result.coverage:.0%} of the others."
+        f"{options.floor:g}). {result.n_windows} windows of {result.windows.length} steps, "
+        f"{len(result.fault_stamps)} of them faults; 95% regions hold the reference in {result.coverage:.0%} of the "
+        "others."
     )
 
 

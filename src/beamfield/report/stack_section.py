@@ -29,7 +29,7 @@ HOW = {
 }
 
 
-def stack_tables(result: StackResult, *, width: int | None = None) -> str:
+def stack_tables(result: StackResult, *, width: int | None) -> str:
     """Return the tables for the terminal: parameters, start against calibrated for every model fitted, and replay.
 
     Parameters

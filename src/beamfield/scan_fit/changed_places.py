@@ -37,8 +37,6 @@ LASTING: dict[Reading, Kind] = {
 }  # fmt: skip
 """What a place is whose readings differ in most visits."""
 
-# Side of a square, metres: a reference that is 4 cm and 0.6 degrees off moves an end point at 8 m by a third of it.
-SIDE = 0.25
 # A square differs in a visit if so many of its beams do. A table leg fills a fifth of a square.
 SHORT_SHARE, WALL_SHARE = 0.1, 0.5
 # How long somebody stands in one place, and how long an error of the poses lasts: on average, seconds.
@@ -232,7 +230,7 @@ def find_changed_places(
     chosen = np.arange(len(log)) if scans is None else as_indices(scans, len(log), "scans")
     selection = select_scans(log.select(chosen), grid, SelectionOptions(min_scans=0))
     used = chosen[selection.used]
-    lattice, visit_s = Lattice.over(grid, SIDE), block_length(log.stamps[used], block_s)
+    lattice, visit_s = Lattice.over(grid), block_length(log.stamps[used], block_s)
     if not len(used):
         return ChangedPlaces((), lattice.side, reference_error, 0, visit_s, (_no_scan(selection),))
     beams = judge_beams(

@@ -13,6 +13,9 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.scan_fit.place_beams import PlaceBeams
 from beamfield.scan_fit.place_visits import Tally
 
+# Side of a square, metres: a reference that is 4 cm and 0.6 degrees off moves an end point at 8 m by a third of it.
+SIDE = 0.25
+
 
 @dataclass(frozen=True)
 class Lattice:
@@ -35,9 +38,9 @@ class Lattice:
     cols: int
 
     @classmethod
-    def over(cls, grid: OccupancyGrid, side: float) -> Lattice:
+    def over(cls, grid: OccupancyGrid) -> Lattice:
         """Return a lattice whose squares are at least as large as a cell of the map."""
-        side = max(side, grid.resolution)
+        side = max(SIDE, grid.resolution)
         low, high = np.floor(np.divide(grid.bounds[:2], side)), np.ceil(np.divide(grid.bounds[2:], side))
         n_cols, n_rows = (high - low).astype(np.int64).tolist()
         return cls(float(low[0] * side), float(low[1] * side), side, n_rows, n_cols)

@@ -25,9 +25,7 @@ def sonar_ring(
     radius: float = 0.2,
     opening_angle: float = np.radians(30.0),
     max_range: float = 5.0,
-    min_range: float = 0.0,
     first_bearing: float = 0.0,
-    name: str = "sonar",
 ) -> RangeFinder:
     """Return a ring of sonars on the robot's rim, evenly spaced, looking outwards.
 
@@ -39,12 +37,10 @@ def sonar_ring(
         Of the rim, metres.
     opening_angle
         Full width of each cone, radians.
-    max_range, min_range
-        Limits of each sensor, metres.
+    max_range
+        Limit of each sensor, metres.
     first_bearing
         Where the first sensor looks, radians; the others follow counter-clockwise.
-    name
-        Of the sensor.
 
     Returns
     -------
@@ -65,7 +61,7 @@ def sonar_ring(
     bearings = first_bearing + np.arange(n_sensors) * (2.0 * np.pi / n_sensors)
     turned = np.column_stack([np.zeros((n_sensors, 2)), bearings])
     mounts = compose(turned, [radius, 0.0, 0.0])
-    return RangeFinder(mounts, max_range, min_range=min_range, opening_angle=opening_angle, name=name)
+    return RangeFinder(mounts, max_range, opening_angle=opening_angle, name="sonar")
 
 
 @checked

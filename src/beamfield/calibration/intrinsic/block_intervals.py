@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import as_floats, checked, require
 from beamfield.calibration.intrinsic.em import checked_beams
-from beamfield.calibration.intrinsic.jackknife import Jackknife
+from beamfield.calibration.intrinsic.jackknife import LEVEL, Jackknife
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem, learning_problem
 from beamfield.calibration.intrinsic.likelihood import N_PARAMETERS, IntrinsicLikelihood, theta_of
 from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.calibration.time_split import LONGEST_BLOCK_S, block_length, time_blocks
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
@@ -26,8 +26,6 @@ from beamfield.short_repr import short_repr
 # than the second number, Student's t is too wide to be of use.
 LEAST_TIME_S = 10 * LONGEST_BLOCK_S
 FEWEST_COMPARED_BLOCKS = 5
-# Beyond these levels the quantiles are all alike, or far beyond what a few blocks tell.
-LEVELS = (0.01, 0.999999)
 
 _NAMES = tuple(item.name for item in fields(BeamParameters))
 
@@ -76,9 +74,8 @@ def block_intervals(
     hold: Mapping[str, float] | None = None,
     priors: IntrinsicPriors | None = None,
     block_s: float | None = None,
-    level: float = 0.95,
 ) -> IntervalResult:
-    """Leave out one block of consecutive time after the other; how far the parameters move tells their intervals.
+    """Leave out one block of consecutive time after the other; how far the parameters move tells their 95% intervals.
 
     Beams of one scan and neighbouring scans err together: intervals from the curvature of the likelihood are 4 to 24
     times too narrow. Blocks of 20 s hold what hangs together.
@@ -95,8 +92,6 @@ def block_intervals(
         As `learn_intrinsic_parameters`.
     block_s
         Length of a block, seconds; None: 20 s, or a twelfth of a shorter log.
-    level
-        Share of intervals that are to hold the truth, 0.01 to 0.999999.
 
     Returns
     -------
@@ -127,8 +122,8 @@ def block_intervals(
       independent beams, (1 - 2 w) s / (w (1 - w)), which is taken from a. Where these beams hold less than one reading
       of the cause, the upper end is at most w + r s or that of one reading.
     - A parameter on its bound, such as a weight of 0: one-sided, to where the log-likelihood, to second order and the
-      other parameters following, has fallen by D (t / z)^2 ln(1 / (1 - level)). Where no reading at all looks like the
-      cause of a weight, that is the rule of three, 3 / (n / D). The design effect D is the variance above over that
+      other parameters following, has fallen by D (t / z)^2 ln(1 / 0.05). Where no reading at all looks like the cause
+      of a weight, that is the rule of three, 3 / (n / D). The design effect D is the variance above over that
       of independent beams; a weight of 0 takes the largest that this log shows for another weight or for sigma_hit.
 
     References
@@ -153,8 +148,6 @@ def block_intervals(
     >>> low < 0.05 < high, high - low < 0.01
     (True, True)
     """
-    if not LEVELS[0] <= level <= LEVELS[1]:
-        raise InvalidInputError(f"level: expected a share between {LEVELS[0]:g} and {LEVELS[1]:g}, got {level}")
     z, expected, _ = checked_beams(ranges, expected_ranges, max_range, min_range)
     times = as_floats(stamps, "stamps")
     require(times.shape == z.shape, "stamps", f"shape {z.shape}, as of ranges", times.shape)
@@ -174,7 +167,7 @@ def block_intervals(
     )
     theta = problem.apply(theta_of(parameters))
     gradients, hessian = _derivatives_of_blocks(z, expected, blocks, theta, problem)
-    result, _ = intervals_of_blocks(problem, theta, gradients, hessian, np.bincount(blocks), length, level=level)
+    result, _ = intervals_of_blocks(problem, theta, gradients, hessian, np.bincount(blocks), length)
     return result
 
 
@@ -185,8 +178,6 @@ def intervals_of_blocks(
     hessian: FloatArray,
     sizes: NDArray[np.int64],
     length: float,
-    *,
-    level: float = 0.95,
 ) -> tuple[IntervalResult, FloatArray]:
     """Return what `block_intervals` does from sums over the beams of each block, wherever they lie.
 
@@ -202,8 +193,6 @@ def intervals_of_blocks(
         Beams of each block, (b,).
     length
         Of a block, seconds.
-    level
-        As `block_intervals`.
 
     Returns
     -------
@@ -212,13 +201,13 @@ def intervals_of_blocks(
     """
     if len(sizes) == 1:
         nothing = np.full((N_PARAMETERS, N_PARAMETERS), np.nan)
-        return IntervalResult({}, {}, level, 1, tuple(_findings(1, length))), nothing
-    jackknife = Jackknife(problem, theta, gradients, hessian, sizes, level)
+        return IntervalResult({}, {}, LEVEL, 1, tuple(_findings(1, length))), nothing
+    jackknife = Jackknife(problem, theta, gradients, hessian, sizes)
     learned = [name for name in _NAMES if problem.free[problem.position(name)]]
     intervals = IntervalResult(
         intervals={name: jackknife.interval(problem.position(name)) for name in learned},
         standard_errors={name: jackknife.standard_error(problem.position(name)) for name in learned},
-        level=level,
+        level=LEVEL,
         n_blocks=len(sizes),
         findings=tuple(_findings(len(sizes), length)),
     )

@@ -17,6 +17,9 @@ from beamfield.calibration.intrinsic.learning_problem import LearningProblem
 from beamfield.calibration.intrinsic.likelihood import N_PARAMETERS, OFFSET, RATE, SLOPE, VARIANCE, W_HIT, W_SHORT
 from beamfield.geometry import FloatArray
 
+# The share of intervals that are to hold the truth.
+LEVEL = 0.95
+_TAIL = 0.5 * (1.0 - LEVEL)
 # The design effect of a cause is known from this many of its beams on.
 _BEAMS_OF_A_DESIGN_EFFECT = 10.0
 
@@ -31,7 +34,6 @@ class Jackknife:
         gradients: FloatArray,
         hessian: FloatArray,
         sizes: NDArray[np.int64],
-        level: float,
     ) -> None:
         _, prior_gradient, prior_hessian = problem.priors.log_density(theta)
         self.problem = problem
@@ -44,11 +46,10 @@ class Jackknife:
         self.hessian = hessian + prior_hessian
         # Expected beams per cause: weight times the sum of density over mixture.
         self.counts = theta[:4] * gradients[:, :4].sum(axis=0)
-        self.tail = 0.5 * (1.0 - level)
-        self.t = float(stdtrit(len(gradients) - 1, 1.0 - self.tail))
-        self.gaussian = float(ndtri(1.0 - self.tail))
+        self.t = float(stdtrit(len(gradients) - 1, 1.0 - _TAIL))
+        self.gaussian = float(ndtri(1.0 - _TAIL))
         self.wider = self.t / self.gaussian
-        self.most_nats = -math.log(1.0 - level) * self.wider**2
+        self.most_nats = -math.log(1.0 - LEVEL) * self.wider**2
         # A weight of 1 is not a bound of its own: the others' are at 0.
         self.inside = problem.free & (theta > problem.lower) & ((theta < problem.upper) | (np.arange(N_PARAMETERS) < 4))
 
@@ -106,10 +107,10 @@ class Jackknife:
             return max(w - rise, 0.0), w
         error = math.sqrt(variance)
         down, up = self._reaches(i, (1.0 - 2.0 * w) * error / (w * (1.0 - w)))
-        low, _ = share_interval(w, variance * (down / self.gaussian) ** 2, 2.0 * self.tail)
-        _, high = share_interval(w, variance * (up / self.gaussian) ** 2, 2.0 * self.tail)
+        low, _ = share_interval(w, variance * (down / self.gaussian) ** 2, 2.0 * _TAIL)
+        _, high = share_interval(w, variance * (up / self.gaussian) ** 2, 2.0 * _TAIL)
         # Less than one reading in all is not a share: what moves such a weight are readings of other causes.
-        of_one_reading = float(betaincinv(2.0, (1.0 - w) / w, 1.0 - self.tail))
+        of_one_reading = float(betaincinv(2.0, (1.0 - w) / w, 1.0 - _TAIL))
         high = min(high, max(w + up * error, of_one_reading))  # in this order: the second may be NaN
         return low, min(high, most)
 

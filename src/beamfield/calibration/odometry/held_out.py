@@ -65,13 +65,10 @@ class HeldOut:
 
     Parameters
     ----------
-    log_density
-        (w,) nats; NaN for windows that lie in no single block.
     by_block
-        (b,) mean of each block; NaN where it has none.
+        (b,) mean nats per window of each block; NaN where it has none.
     """
 
-    log_density: FloatArray
     by_block: FloatArray
 
     @property
@@ -92,7 +89,7 @@ def judged(log_density: FloatArray, blocks: Blocks) -> HeldOut:
     """Return given log densities (w,) by block: of windows in a single block alone."""
     density = np.where(blocks.begins == blocks.ends, log_density, np.nan)
     by_block = np.array([_nan_mean(density[blocks.inside(block)]) for block in range(blocks.n)])
-    return HeldOut(density, by_block)
+    return HeldOut(by_block)
 
 
 def jackknife_intervals(estimate: FloatArray, without: FloatArray) -> FloatArray:

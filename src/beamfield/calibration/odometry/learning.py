@@ -40,8 +40,11 @@ from beamfield.models.differential_motion import DifferentialMotion
 from beamfield.models.motion import OdometryMotion
 from beamfield.sensors import SensorLog
 
-# Windows of these lengths, relative to the one that counts, show whether noise adds up as white noise does.
-RELATIVE_LENGTHS = (0.125, 0.25, 0.5, 1.0, 2.0)
+# Update steps over which odometry and reference are compared. Single steps mislead: errors that last, and the
+# reference's own, look like no noise at all.
+WINDOW = 8
+# Windows of these lengths show whether noise adds up as white noise does.
+LENGTHS = (1, 2, 4, 8, 16)
 # A systematic error of which the drive leaves more than this share of the prior spread is not identifiable.
 LEAST_KNOWN = 0.5
 # How often systematic errors and noise are fitted in turn.
@@ -126,7 +129,7 @@ def calibrate_odometry(
         chosen=chosen,
         candidates=(fit.as_candidate(DEFAULT, default), *ours, other),
         corrected_alpha=corrected,
-        by_length=_by_length(cut, options.window),
+        by_length=_by_length(cut),
         coverage=float(inside.mean()),
         fault_stamps=log.stamps[windows.scans[windows.first[~is_noise]]],
         n_windows=len(windows),
@@ -141,7 +144,7 @@ def calibrate_odometry(
 
 
 @checked
-def learn_systematic_errors(log: SensorLog, *, covariances: ArrayLike | None = None) -> SystematicErrors:
+def learn_systematic_errors(log: SensorLog, *, covariances: ArrayLike | None) -> SystematicErrors:
     """Learn only the systematic errors of a log's odometry, with their covariance; much faster than all of it.
 
     Parameters
@@ -174,7 +177,7 @@ def _cut(
     def cut(length: int) -> OdometryWindows:
         return cut_odometry_windows(log.odometry, log.poses, poses_covariance, scans, length)
 
-    windows = cut(options.window)
+    windows = cut(WINDOW)
     unit = windows.covariance(ONE_ALPHA.units[0])
     if not unit.any():
         raise TooLittleDataError("the odometry never moves")
@@ -275,10 +278,10 @@ def _simplest_of_the_best(candidates: list[NoiseCandidate]) -> NoiseCandidate:
     return best
 
 
-def _by_length(cut: Callable[[int], OdometryWindows], length: int) -> tuple[tuple[int, float], ...]:
+def _by_length(cut: Callable[[int], OdometryWindows]) -> tuple[tuple[int, float], ...]:
     """Return the common alpha learned with windows of several lengths; without those too long for the log."""
     found = []
-    for steps in sorted({max(round(share * length), 1) for share in RELATIVE_LENGTHS}):
+    for steps in LENGTHS:
         try:
             windows = cut(steps)
         except TooLittleDataError:

@@ -30,9 +30,6 @@ class OdometryOptions:
     ----------
     update_min_d, update_min_a
         Motion between a filter's updates, metres and radians: AMCL's alphas belong to it.
-    window
-        Update steps over which odometry and reference are compared. Single steps mislead: errors that last, and the
-        reference's own, look like no noise at all.
     reference_error, reference_turn_error
         Standard deviation of the reference poses, per axis in metres and radians, where no covariances are given.
     floor
@@ -42,12 +39,11 @@ class OdometryOptions:
     Raises
     ------
     InvalidInputError
-        If a number is not finite and in its range: distances, angles and floor >= 0, errors > 0, window >= 1.
+        If a number is not finite and in its range: distances, angles and floor >= 0, errors > 0.
     """
 
     update_min_d: float = 0.25
     update_min_a: float = 0.2
-    window: int = 8
     reference_error: float = 0.04
     reference_turn_error: float = 0.01
     floor: float = 0.02
@@ -58,8 +54,6 @@ class OdometryOptions:
             value = getattr(self, name)
             if not 0.0 <= value < math.inf or (value == 0.0 and name.startswith("reference")):
                 raise InvalidInputError(f"{name}: expected a finite positive number, got {value}")
-        if self.window < 1:
-            raise InvalidInputError(f"window: expected at least 1, got {self.window}")
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSE_TYPES = (ODOMETRY, POSE_WITH_COVARIANCE, POSE_STAMPED)
 
+MAX_GAP = 2.0  # seconds without a transform or pose over which nothing is interpolated
 SPARSE = 0.2  # seconds: poses further apart than this are bridged by odometry, if there is any
 
 
@@ -91,7 +92,7 @@ class PoseTopicCollector:
             raise FormatError(self.path, f"pose: {text}", field=f"{self.topic}, message {row + 1}")
 
 
-def poses_at(track: Track, stamps: FloatArray, max_gap: float,
+def poses_at(track: Track, stamps: FloatArray,
              odometry_at: Callable[[FloatArray], FloatArray] | None = None) -> tuple[FloatArray, bool]:  # fmt: skip
     """Return the poses of a track at other times, and whether odometry bridged its gaps.
 
@@ -104,8 +105,6 @@ def poses_at(track: Track, stamps: FloatArray, max_gap: float,
         Poses in the map.
     stamps
         (n,) seconds.
-    max_gap
-        Longest time in seconds between two poses that is interpolated without odometry.
     odometry_at
         Returns the odometry's poses (n, 3) at given times, NaN where they are not known; None if there is none.
 
@@ -122,7 +121,7 @@ def poses_at(track: Track, stamps: FloatArray, max_gap: float,
         correction = compose(track.poses[known], invert(reference[known]))
         between = interpolate_poses(track.stamps[known], correction, stamps)
         return compose(between, odometry_at(stamps)), True
-    return interpolate_poses(track.stamps, track.poses, stamps, max_gap=max_gap), False
+    return interpolate_poses(track.stamps, track.poses, stamps, max_gap=MAX_GAP), False
 
 
 def in_base_frame(track: Track, child_from_base: FloatArray) -> Track:

@@ -13,10 +13,9 @@ from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, interpolate_poses
 from beamfield.io.bags.frames import TransformBuffer, rotate, strip_slash
 from beamfield.io.bags.laser_scan import LaserScans
-from beamfield.io.bags.pose_topic import PoseTopicCollector, in_base_frame, poses_at
+from beamfield.io.bags.pose_topic import MAX_GAP, PoseTopicCollector, in_base_frame, poses_at
 from beamfield.sensors import Track
 
-MAX_GAP = 2.0  # seconds without a transform or pose over which nothing is interpolated
 MAX_TILT = np.deg2rad(5.0)  # from here on a scan is not a cut through the map's plane: cos(5 deg) shortens it by 0.4%
 MAX_MOTION = (0.02, np.deg2rad(2.0))  # how far a mount may wander over the log, metres and radians
 BASE_FRAMES = ("base_link", "base_footprint")
@@ -304,12 +303,12 @@ def _reference_topic(content: BagContent, topic: PoseTopicCollector, base: str, 
         raise FormatError(content.path, "the topic holds no poses", field=topic.topic)
     track = in_base_frame(topic.track(notes), _child_from_base(content, topic, base, notes))
     odometry_at = None if odometry.track is None else odometry.at
-    bridged = poses_at(track, track.stamps[:1], MAX_GAP, odometry_at)[1]
+    bridged = poses_at(track, track.stamps[:1], odometry_at)[1]
     notes.append(
         f"reference poses: topic {topic.topic} in frame {topic.frame!r}"
         + (", with odometry between its poses" if bridged else "")
     )
-    return lambda when: poses_at(track, when, MAX_GAP, odometry_at)[0]
+    return lambda when: poses_at(track, when, odometry_at)[0]
 
 
 def says_truth(topic: str) -> bool:

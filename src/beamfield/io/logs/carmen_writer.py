@@ -21,8 +21,8 @@ TOLERANCE = 1e-9
 RING_RADIUS, OPENING_ANGLE = "beamfield_ring_radius", "beamfield_opening_angle"
 
 
-def write_carmen(path: str | Path, log: ScanLog, *, sensor: str | None = None) -> None:
-    """Write the scans of one sensor as FLASER lines, with PARAM lines that say what the sensor is, and ODOM lines.
+def write_carmen(path: str | Path, log: ScanLog) -> None:
+    """Write the scans of a log of one sensor as FLASER lines, with PARAM lines about the sensor, and ODOM lines.
 
     Each FLASER line has the ranges, the laser's reference pose, the robot's odometry, and the stamp; reading it with
     `beamfield.io.logs.carmen.read_carmen` gives the same log: ranges and stamps to a micrometre and a microsecond. "No
@@ -37,17 +37,15 @@ def write_carmen(path: str | Path, log: ScanLog, *, sensor: str | None = None) -
         The log. Each scan has a reference pose, or odometry. Without odometry the reference pose is written twice, as
         SLAM programs do. Without reference poses the odometry is, as robots do: read such a log with
         ``lone_poses="odometry"``.
-    sensor
-        Which sensor; the only one if None.
 
     Raises
     ------
     InvalidInputError
-        If only some scans have a reference pose, or odometry, or none has either, or the beams do not start at one
-        point (x, 0) of the robot, or on a ring around it, in equal steps counter-clockwise: a FLASER line cannot say
-        that.
+        If there is not one sensor, only some scans have a reference pose, or odometry, or none has either, or the beams
+        do not start at one point (x, 0) of the robot, or on a ring around it, in equal steps counter-clockwise: a
+        FLASER line cannot say that.
     """
-    scans = log.only_sensor(sensor)
+    scans = log.only_sensor()
     offset, start, step, radius = _geometry(scans)
     poses, odometry = _poses(scans)
     text = "".join(

@@ -21,7 +21,7 @@ def document_text(
     header: str,
     document: Mapping[str, Any],
     *,
-    intervals: Mapping[str, tuple[float, float]] | None = None,
+    intervals: Mapping[str, tuple[float, float]] | None,
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
     """Return the text of a file.

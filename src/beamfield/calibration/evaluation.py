@@ -109,7 +109,7 @@ def log_density(table: BeamTable, parameters: BeamParameters) -> FloatArray:
 
 
 def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float:
-    """Return the standard error of a mean whose terms depend on each other within blocks; NaN for one block, or with terms that are not finite.
+    """Return the standard error of a mean whose terms depend on each other within blocks.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float
 
     Returns
     -------
-    In the unit of the values.
+    In the unit of the values; NaN for one block, or with terms that are not finite.
 
     Examples
     --------

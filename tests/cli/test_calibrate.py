@@ -267,7 +267,7 @@ class TestBadInput:
         changed = re.sub(rf"^{key}:.*$", f"{key}: {value}", text, flags=re.MULTILINE)
         assert changed != text
         (copy / "map.yaml").write_text(changed)
-        line = refused()
+        line = refused("--poses", str(copy / "truth.tum"))
         assert all(word in line for word in words)
 
     def test_a_bomb_of_an_image(self, copy, refused):

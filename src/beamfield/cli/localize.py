@@ -110,6 +110,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     check_recordings(arguments)
     with options.progress(arguments) as progress:
         grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
+        _check_inputs(sensor, grid, arguments)
         sensor, more = _with_poses_that_hold(sensor, grid, arguments, progress)
         notes = (*notes, *more)
         log, start = _start(sensor, grid, arguments)
@@ -156,11 +157,7 @@ def _with_poses_that_hold(
     return log, tuple(one.full_text for one in told)
 
 
-def _start(
-    sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace
-) -> tuple[SensorLog, PoseBelief | None]:
-    """Return the log from where the filter starts, and what it knows there; None: nothing."""
-    from beamfield.localization.replay import PoseBelief, reference_start
+def _check_inputs(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> None:
     from beamfield.maps.range_scale import require_metres
 
     options.require_odometry(sensor, arguments.log)
@@ -172,6 +169,14 @@ def _start(
         raise FormatError(arguments.map, "the map has no free cell, so there is no place for the robot")
     with about_file(arguments.log):
         require_metres(sensor, grid)
+
+
+def _start(
+    sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace
+) -> tuple[SensorLog, PoseBelief | None]:
+    """Return the log from where the filter starts, and what it knows there; None: nothing."""
+    from beamfield.localization.replay import PoseBelief, reference_start
+
     if arguments.start is not None:
         x, y, degrees = arguments.start
         if not grid.look_up(grid.free, [x, y]).all():

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
-from beamfield.arguments import LARGEST, SMALLEST, as_generator, check_fields, checked, require
+from beamfield.arguments import LARGEST, as_generator, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.kernels import line as kernels
@@ -31,9 +31,8 @@ class LineParameters:
     Parameters
     ----------
     sigma_rho, sigma_alpha
-        Standard deviations, metres and radians, 0 or from 1e-12 to 1e9. They are *added* (as variances) to the
-        covariance that a detection brings, for what it does not know: errors of the map. Where detections bring none
-        they are all.
+        Standard deviations, metres and radians, >= 0. They are *added* (as variances) to the covariance that a
+        detection brings, for what it does not know: errors of the map. Where detections bring none they are all.
     spurious_rate
         Probability that a line belongs to none of the map (c = N + 1), in [0, 1).
     max_range
@@ -58,8 +57,7 @@ class LineParameters:
     def __post_init__(self) -> None:
         check_fields(self)
         for name in ("sigma_rho", "sigma_alpha"):
-            value = getattr(self, name)
-            require(value == 0.0 or SMALLEST <= value <= LARGEST, name, f"0, or {SMALLEST:g} to {LARGEST:g}", value)
+            require(0.0 <= getattr(self, name) <= LARGEST, name, f"a number from 0 to {LARGEST:g}", getattr(self, name))
         if self.max_range is not None and not 0.0 < self.max_range < np.inf:
             raise InvalidInputError(f"max_range: expected a positive, finite number, got {self.max_range}")
         require(0.0 <= self.spurious_rate < 1.0, "spurious_rate", "a probability in [0, 1)", self.spurious_rate)

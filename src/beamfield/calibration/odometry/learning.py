@@ -249,10 +249,12 @@ class _WindowFit:
         corrected = residuals
         for _ in range(ROUNDS):
             start = fit_levels(corrected, reference, unit, start)
-            longer = residuals - start[0] * short[used]
-            errors, left = systematic_errors(longer, design[used], reference + start[0] * unit[0])
-            corrected = longer - design[used] @ errors
-        return errors, left, float(fit_levels(corrected, reference, unit, start)[0])
+            errors, left = systematic_errors(residuals, design[used], reference + start[0] * unit[0])
+            corrected = residuals - design[used] @ errors
+        alpha = float(fit_levels(corrected, reference, unit, start)[0])
+        # Last, and once: a shortening that the noise is fitted to in turn may grow without limit.
+        errors, left = systematic_errors(residuals - alpha * short[used], design[used], reference + alpha * unit[0])
+        return errors, left, alpha
 
     def _rests(self) -> list[tuple[int, NDArray[np.bool_]]]:
         """Return each block with the windows (w,) that touch nothing of it."""

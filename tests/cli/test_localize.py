@@ -249,7 +249,9 @@ def test_a_robot_in_another_building_is_not_found(folder, capsys):
     assert main(["localize", str(folder / "drive.log"), *words]) == 3
     said = capsys.readouterr()
     assert "the robot has not been found" in said.err
-    assert {"not-found", "robot-lost"} & {finding["name"] for finding in json.loads(said.out)["findings"]}
+    document = json.loads(said.out)
+    assert {"not-found", "robot-lost"} & {finding["name"] for finding in document["findings"]}
+    assert document["sure_after_s"] is None
 
 
 @pytest.mark.usefixtures("undrawn")

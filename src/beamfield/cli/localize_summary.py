@@ -24,8 +24,8 @@ def run_facts(
 ) -> dict[str, Any]:
     """Return the numbers of a run for localization.json; where it started is None if anywhere."""
     spread = np.sqrt(np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2))
-    is_lost = any(finding.name == "robot-lost" for finding in found.findings)
-    sure = None if is_lost else sure_from(found)
+    is_sure = not any(finding.name in ("robot-lost", "not-found") for finding in found.findings)
+    sure = sure_from(found) if is_sure else None
     # Not the mean: the first update makes the model's tables, and may compile.
     seconds = float(np.median(found.seconds))
     return {

@@ -17,6 +17,8 @@ from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.main import main
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import BeamfieldError, TrajectoryNotFoundError
+from beamfield.geometry import between, chained
+from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
@@ -25,7 +27,7 @@ from beamfield.localization.trajectory import TrajectoryFit, fit_trajectory
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
-from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 from tests.cli.simulated import on_map, simulated
 
 LONE = ("--lone-poses", "odometry")
@@ -173,6 +175,21 @@ def test_poses_of_a_file_that_the_user_names_are_taken_as_they_are(world: Path, 
     assert fitted is None
     assert posed is log
     assert {"map-disagrees", "reference-slides"} & {one.name for one in found}
+
+
+def test_no_values_are_chosen_for_a_filter_whose_odometry_has_the_wrong_sign(world: Path, tmp_path: Path, capsys):
+    log = read_log(world / "lone.carmen", lone_poses="odometry")
+    sensor = log.only_sensor()
+    turned = chained(sensor.odometry[0], between(sensor.odometry[:-1], sensor.odometry[1:]) * [1.0, -1.0, -1.0])
+    # The text format has one pose where there are no others.
+    write_carmen(world / "turned.carmen", ScanLog({"laser": replace(sensor, poses=turned, odometry=turned)}))
+    file = nav2_file(tmp_path)
+    before = file.read_text()
+    words = (*LONE, "--stack", "nav2", "--patch", str(file), "--no-refine", "--quiet")
+    assert on_map("calibrate", world, "turned.carmen", tmp_path / "out", *words) == 3
+    said = capsys.readouterr()
+    assert "no values for nav2: the odometry fits only with its turns reversed; the robot's filter takes it" in said.err
+    assert file.read_text() == before
 
 
 def test_calibrate_learns_at_fitted_poses_where_those_of_the_log_are_lost(world: Path, lost: str, tmp_path: Path):

@@ -153,6 +153,12 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
     for finding in result.findings:
         if finding.name in ("map-disagrees", "map-out-of-date"):
             raise TooLittleDataError(DOUBTS[finding.name])
+        if finding.name == "odometry-sign":
+            # Replayed with the sign put right, a filter says nothing of the robot's, which takes it as it is.
+            raise TooLittleDataError(
+                f"{finding.text.partition(';')[0].lower()}; the robot's filter takes it as it is and gets lost, "
+                f"whatever the values. {finding.do}"
+            )
     arguments, file = job.arguments, job.patched
     stack = STACKS[arguments.stack]
     models = tuple(stack.models) if arguments.model is None else (arguments.model,)

@@ -101,7 +101,7 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
 
 def test_without_a_model_all_are_fitted_and_the_best_is_written(world, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("beamfield.cli.calibrate_stack.replay_fit", lambda *_: (None, "not tested here"))
-    assert calibrate(world, tmp_path / "out", "--stack", "beluga") == 0
+    assert calibrate(world, tmp_path / "out", "--stack", "beluga") == 3
     document = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]
     assert [fit["model"] for fit in document["models"]] == ["likelihood_field", "likelihood_field_prob", "beam"]
     best = max(document["models"], key=lambda fit: max(trial["net_score"] for trial in fit["trials"]))
@@ -109,7 +109,20 @@ def test_without_a_model_all_are_fitted_and_the_best_is_written(world, tmp_path,
     file = read_stack_file(tmp_path / "out" / "beluga.yaml", stack="beluga")
     assert file.model == best["model"]
     assert document["replay"] == {"missing": "not tested here"}
+    assert document["verdict"].startswith("no value for beluga is proven, for its filter could not be replayed")
     assert capsys.readouterr().out == f"{document['verdict']}\n"
+
+
+def test_without_a_replay_the_users_file_stays(world, tmp_path, capsys):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(MINE.rstrip("\n") + "\n    update_min_d: 20.0\n    update_min_a: 6.0\n")
+    before = mine.read_text()
+    asked = ("--stack", "nav2", "--model", "likelihood_field", "--patch", str(mine))
+    assert calibrate(world, tmp_path / "out", *asked, quiet=False) == 3
+    said = capsys.readouterr()
+    assert mine.read_text() == before
+    assert "its filter could not be replayed: a replay needs" in said.err
+    assert f"left {mine} as it was; what would have changed is in nav2.yaml" in said.out
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,11 @@ def fit_for_stack(
     choice, why_not = replay_fit(job, sensor, grid, own, others, motion)
     chosen = own if choice is None else _fit_of(fits, choice.chosen.filter.model)
     in_part = any(finding.name == "map-disagrees-in-part" for finding in result.findings)
-    found = StackResult(fits, chosen, choice, why_not, doubts(result), in_part)
+    unproven = ""
+    if choice is None and sensor.has_odometry and STACKS[stack].filter is not None:
+        # Scores on windows alone have chosen values that did harm.
+        unproven = f"no value for {stack} is proven, for its filter could not be replayed: {why_not}"
+    found = StackResult(fits, chosen, choice, why_not, doubts(result) or (unproven and f"{unproven}."), in_part)
     record = _record(found) if found.covers and not found.doubt else ""
     start_values = asdict(found.start)
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
@@ -125,7 +129,7 @@ def fit_for_stack(
         files |= shifted_map_file(job, choice)
     return StackPart(
         "stack", "\n\n".join([stack_tables(found, width=line_width()), *said]), stack_as_dict(found),
-        stack_section(found, text), files, values=changed, record=record, doubt=found.doubt,
+        stack_section(found, text), files, values=changed, record=record, doubt=found.doubt, problem=unproven,
     )  # fmt: skip
 
 

@@ -115,7 +115,8 @@ def outcomes(log: SensorLog, grid: OccupancyGrid, seed: int) -> dict[str, str]:
     found = localizer_of("likelihood field", grid).run(log, None, np.random.default_rng(0))
     names = {one.name for one in found.findings}
     since = len(log) // 2
-    lost = "not-found" in names or find_lost_robot(log[since:], grid, found.poses[since:]) is not None
+    said = find_lost_robot(log[since:], grid, found.poses[since:])
+    lost = "not-found" in names or (said is not None and said.name == "robot-lost")
     off = off_by(found.poses[since:], log[since:])
     return {
         "fit": fitted(log, grid),

@@ -125,16 +125,25 @@ def test_without_a_replay_the_users_file_stays(world, tmp_path, capsys):
     assert f"left {mine} as it was; what would have changed is in nav2.yaml" in said.out
 
 
+def test_values_can_be_chosen_for_the_map_as_it_is(world, tmp_path):
+    asked = ("--stack", "nav2", "--model", "likelihood_field", "--keep-map")
+    assert calibrate(world, tmp_path / "out", *asked) == 0
+    replay = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]["replay"]
+    assert replay["error"]["after"] > 0.0
+    assert not (tmp_path / "out" / "amcl_map.yaml").exists()
+
+
 @pytest.mark.parametrize(
     ("options", "message", "code"),
     [
+        (("--keep-map",), "--keep-map: is for another program's model, name it with --stack", 2),
         (("--stack", "ros9"), "--stack: expected one of nav2, ros1, beluga, mrpt, f1tenth, got 'ros9'", 2),
         (("--stack", "nav2", "--model", "table"), "--model: nav2 has likelihood_field, likelihood_field_prob, beam", 2),
         (("--model", "beam"), "--model: is for another program's model, name it with --stack", 2),
         (("--stack", "nav2", "--patch", "missing.yaml"), "missing.yaml: No such file or directory", 1),
         (("--stack", "nav2", "--reference-error", "0"), "--reference-error: expected 0 to 0.25 m, without 0", 2),
     ],
-    ids=["stack", "model", "no stack", "no file", "reference error"],
+    ids=["keep map", "stack", "model", "no stack", "no file", "reference error"],
 )
 def test_wrong_requests_fail_before_any_work(world, tmp_path, capsys, options, message, code):
     assert calibrate(world, tmp_path / "out", *options) == code

@@ -40,6 +40,14 @@ MODELS = {
         Nav2Motion(OMNI, *ALPHAS),
         lambda pose, u, n: slow.amcl_omni(pose, u, slow.nav2_omni_factors(*ALPHAS), n),
     ),
+    "nav2 differential before Humble": (
+        Nav2Motion("differential", *ALPHAS),
+        lambda pose, u, n: slow.amcl_differential(pose, u, ALPHAS[:4], n),
+    ),
+    "nav2 omni before Humble": (
+        Nav2Motion("omnidirectional", *ALPHAS),
+        lambda pose, u, n: slow.amcl_omni(pose, u, slow.nav2_omni_factors(*ALPHAS), n),
+    ),
     "ROS 1 diff": (
         Ros1Motion("diff", *ALPHAS),
         lambda pose, u, n: slow.amcl_differential(pose, u, ALPHAS[:4], n, identity),
@@ -115,7 +123,7 @@ def test_mrpt_gaussian_has_the_mean_and_covariance_of_its_source(odometry):
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: Nav2Motion("differential"),
+        lambda: Nav2Motion("differential_drive"),
         lambda: Nav2Motion(alpha1=-0.1),
         lambda: Ros1Motion(odom_alpha5=float("nan")),
         lambda: BelugaMotion("ackermann"),

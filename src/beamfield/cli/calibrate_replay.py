@@ -106,10 +106,10 @@ def _settings(job: CalibrationJob, fit: StackFit) -> FilterSettings | None:
 
 
 def _shift(job: CalibrationJob, before: FilterSettings, grid: OccupancyGrid) -> float:
-    """Return what sets the map's origin right: half a cell where the program is off by that, and a file can say so."""
+    """Return what sets the map's origin right: half a cell where the program is off by that, and a file may say so."""
     from beamfield.stacks.registry import STACKS
 
-    can_write = job.arguments.map.suffix in (".yaml", ".yml") and grid.origin[2] == 0.0
+    can_write = not job.arguments.keep_map and job.arguments.map.suffix in (".yaml", ".yml") and grid.origin[2] == 0.0
     return 0.5 * grid.resolution if STACKS[before.stack].half_cell_low and can_write else 0.0
 
 

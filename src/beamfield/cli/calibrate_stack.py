@@ -44,6 +44,11 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--patch", type=Path, metavar="FILE",
                        help="start from this parameter file and change the values in it; keeps a backup")  # fmt: skip
     group.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")
+    group.add_argument(
+        "--keep-map",
+        action="store_true",
+        help="choose values for the map as it is, even if the program reads it half a cell off",
+    )
 
 
 def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
@@ -55,9 +60,10 @@ def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
             f"--reference-error: expected 0 to {WindowOptions().spread:g} m, without 0, got {arguments.reference_error}"
         )
     if arguments.stack is None:
-        for name in ("model", "patch", "section"):
-            if getattr(arguments, name) is not None:
-                raise InvalidInputError(f"--{name}: is for another program's model, name it with --stack")
+        for name in ("model", "patch", "section", "keep_map"):
+            if getattr(arguments, name) not in (None, False):
+                option = name.replace("_", "-")
+                raise InvalidInputError(f"--{option}: is for another program's model, name it with --stack")
         return None
     from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file
     from beamfield.stacks.files.typed_values import checked_values

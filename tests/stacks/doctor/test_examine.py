@@ -127,6 +127,8 @@ FINDINGS = {
     "wrong-type of count": ({"max_beams": 59.5}, {}, {"max_beams": 59}, {}),
     "out-of-range": ({"sigma_hit": -0.1}, {}, {"sigma_hit": 0.1}, {}),
     "filled-in-at-start": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
+    "old-motion-name": ({"robot_model_type": '"differential"'}, {},
+                        {"robot_model_type": '"nav2_amcl::DifferentialMotionModel"'}, {}),
     "loaded-elsewhere": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
     "no-ros-parameters-key": ({"text": "amcl:\n  z_hit: 0.5\n"}, {}, {"z_hit": 0.5}, {}),
     "wrong-type of a list": ({"z_hit": "[0.5]"}, {}, {"z_hit": 0.5}, {}),

@@ -10,6 +10,8 @@ from beamfield.stacks.emulation.parameter_checks import check_choice, check_numb
 from beamfield.stacks.emulation.stack_motion import StackMotion
 
 DIFFERENTIAL, OMNI = "nav2_amcl::DifferentialMotionModel", "nav2_amcl::OmniMotionModel"
+# Until Galactic; since Humble no plugin has these names.
+OLD_NAMES = {"differential": DIFFERENTIAL, "omnidirectional": OMNI}
 
 
 @dataclass(frozen=True)
@@ -19,7 +21,8 @@ class Nav2Motion(StackMotion):
     Parameters
     ----------
     robot_model_type
-        "nav2_amcl::DifferentialMotionModel" or "nav2_amcl::OmniMotionModel".
+        "nav2_amcl::DifferentialMotionModel" or "nav2_amcl::OmniMotionModel"; before Humble "differential" or
+        "omnidirectional".
     alpha1, alpha2, alpha3, alpha4
         As for `DifferentialMotion` and `OmniMotion`.
     alpha5
@@ -44,12 +47,12 @@ class Nav2Motion(StackMotion):
     alpha5: float = 0.2
 
     def __post_init__(self) -> None:
-        check_choice(self, "robot_model_type", (DIFFERENTIAL, OMNI))
+        check_choice(self, "robot_model_type", (DIFFERENTIAL, OMNI, *OLD_NAMES))
         check_numbers(self, at_least_zero=("alpha1", "alpha2", "alpha3", "alpha4", "alpha5"))
 
     @property
     def formula(self) -> DifferentialMotion | OmniMotion:
         """The motion model that nav2 runs with these parameters."""
-        if self.robot_model_type == DIFFERENTIAL:
+        if OLD_NAMES.get(self.robot_model_type, self.robot_model_type) == DIFFERENTIAL:
             return DifferentialMotion(self.alpha1, self.alpha2, self.alpha3, self.alpha4)
         return OmniMotion(self.alpha1, self.alpha2, self.alpha3, self.alpha4, self.alpha5)

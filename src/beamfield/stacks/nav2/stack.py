@@ -57,6 +57,9 @@ NAV2 = amcl_stack(
     is_typed=True,
     filter=StackFilter(motion=Nav2Motion, parameters=AmclFilterParameters, build=amcl_filter),
     motion_key="robot_model_type",
-    motions={DIFFERENTIAL: differential_alphas, OMNI: omni_alphas},
+    motions={
+        DIFFERENTIAL: differential_alphas, OMNI: omni_alphas, "differential": differential_alphas,
+        "omnidirectional": omni_alphas,
+    },
     checks=(uninitialised_queue,),
 )  # fmt: skip

@@ -106,7 +106,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
             raise InvalidInputError(
                 "--patch: one file cannot hold the parameters of several sensors; choose one with --sensor"
             )
-        notes = (*log.notes, *([ODOMETRY_NOTE] if arguments.odometry else []))
+        unread = () if patched is None else patched.unread
+        notes = (*log.notes, *([ODOMETRY_NOTE] if arguments.odometry else []), *unread)
         job = CalibrationJob(
             arguments, grid, learning, provenance(arguments), notes, patched, progress, error_is_given=error_is_given
         )

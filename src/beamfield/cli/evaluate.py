@@ -141,6 +141,7 @@ def _read_files(arguments: argparse.Namespace) -> tuple[dict[str, StackFile], li
         if not file.stack_is_certain:
             others = " or ".join(other for other in file.possible if other != file.stack)
             notes.append(f"{name}: read as {file.stack}'s; pass --stack {others} if that is what the robot runs")
+        notes += file.unread
     return files, notes
 
 

@@ -442,6 +442,14 @@ def test_the_worst_comes_first_with_its_line(tmp_path):
     assert {item.line for item in examine(amcl(tmp_path, text=NODE, **ROBOT)) if item.name == "loaded-elsewhere"} == {6}
 
 
+def test_a_file_says_which_others_its_node_takes_parameters_from(tmp_path):
+    (note,) = amcl(tmp_path, text=NODE, **ROBOT).unread
+    assert note.endswith(
+        "amcl.launch:6: the node also takes parameters from $(find robot)/amcl.yaml, which is not read here"
+    )
+    assert amcl(tmp_path, text=WITHOUT, **ROBOT).unread == ()
+
+
 def test_parameters_keep_the_names_of_their_stack(tmp_path):
     found = examine(amcl(tmp_path, stack="ros1", laser_z_hit=0.5))
     sums = next(item for item in found if item.name == "weights-sum")

@@ -77,6 +77,15 @@ class StackFile:
             return self
         return replace(self, section=described.section(self.section))
 
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """A note for each place from which the node takes more parameters: they are not read, and count as defaults."""
+        where = self.section.path
+        return tuple(
+            f"{where}:{line}: the node also takes parameters from {source}, which is not read here"
+            for line, source in self.section.elsewhere
+        )
+
     def name_in_file(self, name: str) -> str:
         """Return what this file calls a parameter of the stack's dataclass."""
         other = self.program.other_node if self.is_of_other_node else None

@@ -30,6 +30,7 @@ from beamfield.cli.wording import in_options
 from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError, TooLittleDataError
 
 if TYPE_CHECKING:
+    from beamfield.localization.fitted_poses import FittedPoses
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import SensorLog
 
@@ -64,7 +65,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.explorer.open_session import open_session
     from beamfield.explorer.parameter_set import read_set
     from beamfield.explorer.server import explorer_app, listening_socket, new_token, page_address
-    from beamfield.explorer.shown_run import read_shown_run
+    from beamfield.explorer.shown_run import own_poses_as_run, read_shown_run
 
     if arguments.port > 65535:
         raise InvalidInputError(f"--port: expected at most 65535, got {arguments.port}")
@@ -73,7 +74,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
         # Before poses are fitted, which takes long: a bad file is refused at once.
         sets = [read_set(file, grid, sensor.finder) for file in arguments.params]
         shown = None if arguments.shown_run is None else read_shown_run(arguments.shown_run, sensor, grid)
-        log, more = _posed(sensor, grid, arguments, progress)
+        log, fitted, more = _posed(sensor, grid, arguments, progress)
+        if shown is None and fitted is not None and fitted.instead_of is not None:
+            shown = own_poses_as_run(sensor, grid, fitted.instead_of)
         session, why = open_session(
             log, grid, sets, run=shown, fit=not arguments.no_fit and log.has_poses, progress=progress
         )
@@ -97,17 +100,17 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 def _posed(
     sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress
-) -> tuple[SensorLog, tuple[str, ...]]:
-    """Return the log with poses if it has or gets some, and notes: without, the robot can still be dragged."""
+) -> tuple[SensorLog, FittedPoses | None, tuple[str, ...]]:
+    """Return the log with poses if it has or gets some, what was fitted, and notes: without, drag the robot."""
     start = options.start_of(arguments)
     if arguments.no_fit and start is None and not sensor.has_poses:
-        return sensor, (BY_HAND,)
+        return sensor, None, (BY_HAND,)
     try:
-        log, _, found = posed_log(
+        log, fitted, found = posed_log(
             sensor, grid, arguments, progress, path=arguments.log, start=start, are_given=arguments.poses is not None
         )
     except (FormatError, TooLittleDataError) as error:
         if sensor.has_poses:
             raise
-        return sensor, (f"{error}; {BY_HAND}",)
-    return log, tuple(finding.full_text for finding in found)
+        return sensor, None, (f"{error}; {BY_HAND}",)
+    return log, fitted, tuple(finding.full_text for finding in found)

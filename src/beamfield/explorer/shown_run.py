@@ -72,6 +72,12 @@ def read_shown_run(path: Path, log: SensorLog, grid: OccupancyGrid) -> ShownRun:
     return ShownRun(poses, _by_scan(path, run, log), numbers, find_lost_robot(log, grid, poses))
 
 
+def own_poses_as_run(log: SensorLog, grid: OccupancyGrid, lost: Finding) -> ShownRun:
+    """Return the poses of a log that lost the robot as the run of a filter, to look at beside those fitted."""
+    numbers = {AGREEMENT: scan_agreement(log, grid, log.poses, most=len(log))}
+    return ShownRun(log.poses, {}, numbers, lost)
+
+
 def run_from(log: SensorLog, grid: OccupancyGrid, model: Any, i: int, pose: tuple[float, float, float]) -> ShownRun:
     """Run a particle filter from a scan and a pose on.
 

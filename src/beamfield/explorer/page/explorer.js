@@ -271,6 +271,7 @@ class Explorer {
     filter.textContent = own ? "Hide filter" : "Run filter";
     filter.setAttribute("aria-pressed", String(own));
     recorded.setAttribute("aria-pressed", String(run !== null && !own));
+    this.panels.showLegends();
     this.draw();
   }
 

@@ -78,6 +78,9 @@ export class Panels {
       const entries = kind === "beam" ? CAUSES.map((name) => entry(name, CAUSE_WORDS[name]))
         : kind === "field" ? [entry("hit", "near an obstacle"), entry("short", "far from any"), make("li", { textContent: "grey: not looked at" })] : [entry("hit", "reading")];
       entries.push(make("li", { textContent: "line: expected ranges" }));
+      if (this.start.poses.some(Boolean)) entries.push(entry("quiet", "path"));
+      const { run, recorded } = this.explorer;
+      if (run) entries.push(entry("belief", run === recorded ? "recorded run" : "filter"));
       if (heat) entries.push(entry("heat", heatWords(heat)));
       this.page.views[k].legend.replaceChildren(...entries);
     });

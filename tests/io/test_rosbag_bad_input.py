@@ -283,11 +283,6 @@ def test_poses_whose_stamps_run_backwards(tmp_path):
     refuse(bag.write(tmp_path), "/amcl_pose, message 3: the stamps run backwards")
 
 
-def test_changing_beam_counts(tmp_path):
-    path = MiniBag().scan(1.0, [1, 2, 3]).scan(2.0, [1, 2, 3, 4]).write(tmp_path)
-    refuse(path, "/scan, message 2: the scan has 4 beams, the first scan of the topic has 3")
-
-
 def test_a_scan_without_beams(tmp_path):
     refuse(MiniBag().scan(1.0).scan(2.0, []).write(tmp_path), "/scan, message 2: the scan has no beams")
 
@@ -311,9 +306,9 @@ def test_scans_of_nothing_but_nan(tmp_path):
 @pytest.mark.parametrize(
     ("change", "pattern"),
     [
-        ({"angle_min": 0.5}, "message 2: angle_min"),
-        ({"increment": 0.1}, "message 2: angle_min"),
-        ({"angle_min": np.nan}, "message 2: angle_min"),
+        ({"angle_min": 0.5}, "message 2: angle_min 0.5.*no beam where most scans .* two sensors"),
+        ({"angle_min": np.nan}, "message 2: expected a finite angle_min"),
+        ({"increment": 14.3}, "message 2: .*full turn.*degrees"),
         ({"range_max": 20.0}, "message 2: range_min, range_max"),
         ({"frame": "other"}, "message 2: frame_id 'other'"),
     ],

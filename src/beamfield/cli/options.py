@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -149,10 +150,11 @@ def check_picture(path: Path | None) -> None:
 
 def read_grid(arguments: argparse.Namespace) -> OccupancyGrid:
     """Read --map, and say if it seems to be the log."""
+    from beamfield.cli.inspect_summary import map_notes
     from beamfield.io.read_map import read_map
 
     try:
-        return read_map(arguments.map, topic=arguments.map_topic)
+        grid = read_map(arguments.map, topic=arguments.map_topic)
     except FormatError as error:
         if parameters := parameters_instead_of("map", arguments.map):
             raise parameters from None
@@ -160,6 +162,13 @@ def read_grid(arguments: argparse.Namespace) -> OccupancyGrid:
         if log is None or (looks_like_a_map(arguments.map) and not looks_like_a_map(log)):
             raise
         raise BeamfieldError(f"{error}; did you swap LOG and --map?") from error
+    keep_for_errors(arguments, arguments.map, map_notes(grid))
+    return grid
+
+
+def keep_for_errors(arguments: argparse.Namespace, path: Path, notes: Iterable[str]) -> None:
+    """Keep notes on a file that was read, to be shown if the command ends in an error and has no result to say them."""
+    arguments.noticed = [*getattr(arguments, "noticed", ()), *(f"{path.name}: {note}" for note in notes)]
 
 
 def read_walls(arguments: argparse.Namespace) -> OccupancyGrid:
@@ -209,6 +218,7 @@ def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: P
         stamps=arguments.stamps,
         lone_poses=arguments.lone_poses,
     )
+    keep_for_errors(arguments, log_path, log.notes)
     if poses is None:
         return log
     track = read_trajectory(poses)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,11 +44,16 @@ class Outcome:
     brief: str = ""
 
 
+def show_notes(notes: Iterable[str], arguments: argparse.Namespace) -> None:
+    """Print what is worth knowing, each note once, unless --quiet was given."""
+    if not arguments.quiet:
+        for note in dict.fromkeys(notes):
+            complain(f"note: {in_options(note)}")
+
+
 def show(outcome: Outcome, arguments: argparse.Namespace) -> None:
     """Print an outcome in the form asked for."""
-    if not arguments.quiet:
-        for note in outcome.notes:
-            complain(f"note: {in_options(note)}")
+    show_notes(outcome.notes, arguments)
     if arguments.json:
         said = {"command": arguments.command, "exit_code": outcome.code, "notes": list(outcome.notes)}
         say_json({**said, "wrote": [str(path) for path in outcome.wrote], **(outcome.document or {})})

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.cli.outcome import Outcome, show
 from beamfield.cli.wording import in_options
 from beamfield.io.bags.writer import write_bag
 from beamfield.io.read_log import read_log
@@ -127,3 +129,12 @@ def test_what_was_assumed_about_log_and_map_is_said_before_an_error(world, tmp_p
     assert error.startswith("beamfield: error: --scan:")
     assert main([*words, "--quiet"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_json_names_options_as_the_terminal_does(capsys):
+    finding = {"text": "read it with lone_poses='odometry'", "name": "lone_poses"}
+    outcome = Outcome("", document={"findings": [finding]}, notes=["no_return"])
+    show(outcome, Namespace(quiet=True, json=True, command="calibrate"))
+    said = json.loads(capsys.readouterr().out)
+    assert said["findings"] == [{"text": "read it with --lone-poses odometry", "name": "lone_poses"}]
+    assert said["notes"] == ["--no-return"]

@@ -15,6 +15,8 @@ from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, abo
 if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.maps.range_table import RangeTable
+    from beamfield.models.beam_parameters import SavedBeamModel
+    from beamfield.models.field_parameters import SavedLikelihoodField
     from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
 # Not `SUPPORTED` of `beamfield.io.read_log`: that loads the numerical libraries, and --help is to answer at once.
@@ -190,6 +192,17 @@ def read_range_table(arguments: argparse.Namespace, grid: OccupancyGrid, finder:
     table = read_range_table(arguments.range_table, grid)
     table.check_reach(finder.max_range)
     return table
+
+
+def read_field_or_beam_model(path: Path) -> SavedLikelihoodField | SavedBeamModel:
+    """Read --params of a likelihood field: a likelihood_field.yaml, or a beam_model.yaml in its place."""
+    from beamfield.io.files.yaml_file import read_yaml
+    from beamfield.io.parameters.beam_model_file import read_beam_model
+    from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
+
+    # A file that is neither is refused as what the model asks for first.
+    is_beam_model = not is_likelihood_field(path) and "beam_model" in read_yaml(path).values
+    return read_beam_model(path) if is_beam_model else read_likelihood_field(path)
 
 
 def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: Path | None = None) -> ScanLog:

@@ -49,7 +49,11 @@ class LaserScanMessage(Protocol):
 
 @checked
 def scan_from_message(
-    message: LaserScanMessage, *, mount: ArrayLike = (0.0, 0.0, 0.0), no_return: tuple[float, ...] = ()
+    message: LaserScanMessage,
+    *,
+    mount: ArrayLike = (0.0, 0.0, 0.0),
+    no_return: tuple[float, ...] = (),
+    max_range: float | None = None,
 ) -> Scan:
     """Turn a message of sensor_msgs/LaserScan into a scan, as a callback of rclpy gets it; ROS is not needed.
 
@@ -62,6 +66,8 @@ def scan_from_message(
     no_return
         Values in metres by which the sensor says "no return", if it does not follow REP 117 (+inf, or range_max and
         more): 0.0 for many.
+    max_range
+        The sensor's limit in metres, for drivers that leave range_max at 0 or inf; None takes it from the message.
 
     Returns
     -------
@@ -93,9 +99,13 @@ def scan_from_message(
     _check_geometry(*geometry)
     for value in no_return:
         ranges[ranges == np.float32(value)] = np.inf
+    # Of float32 precision as the ranges are: a sensor that answers 5.6 for "no return" writes 5.599999904632568.
+    limit = float(np.float32(message.range_max if max_range is None else max_range))
+    if max_range is None and not 0.0 < limit < np.inf:
+        raise InvalidInputError(f"range_max: expected a finite number of metres > 0, got {limit!r}; give max_range")
     finder = RangeFinder.from_bearings(
         _bearings(geometry),
-        float(message.range_max),
+        limit,
         mount=mount,
         min_range=float(message.range_min),
         name=str(message.header.frame_id),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from statistics import median_high
 from typing import NamedTuple
 
 import numpy as np
@@ -33,12 +34,13 @@ class ScanGeometry(NamedTuple):
         return self.n_beams == other.n_beams and max(abs(first), abs(last)) <= BEARING_TOLERANCE
 
 
-def most_common(geometries: Sequence[ScanGeometry]) -> ScanGeometry:
-    """Return the most common angles among the scans with the most common number of beams; the earliest of equals.
+def usual_geometry(geometries: Sequence[ScanGeometry]) -> ScanGeometry:
+    """Return the median number of beams with the angles that most scans of that number have; the earliest of equals.
 
-    The first scan of a topic would be a bad choice: lidars that spin up send a part of a turn.
+    The first scan of a topic would be a bad choice: lidars that spin up send a part of a turn. The median keeps what
+    scans need on one grid below twice what they hold, whatever a damaged bag says.
     """
-    (n_beams, _), *_ = Counter(one.n_beams for one in geometries).most_common(1)
+    n_beams = median_high(one.n_beams for one in geometries)
     (chosen, _), *_ = Counter(one for one in geometries if one.n_beams == n_beams).most_common(1)
     return chosen
 
@@ -117,7 +119,7 @@ class GriddedScans(NamedTuple):
 
 
 def on_one_grid(ranges: Sequence[NDArray[np.float32]], geometries: Sequence[ScanGeometry]) -> GriddedScans:
-    """Bring scans onto the most common of their grids, each beam to the nearest bearing.
+    """Bring scans onto the usual one of their grids, each beam to the nearest bearing.
 
     Parameters
     ----------
@@ -126,7 +128,7 @@ def on_one_grid(ranges: Sequence[NDArray[np.float32]], geometries: Sequence[Scan
     geometries
         Its beams.
     """
-    grid = most_common(geometries)
+    grid = usual_geometry(geometries)
     pairs: dict[ScanGeometry, NearestBeams] = {}
     gridded = np.full((len(ranges), grid.n_beams), np.nan, dtype=np.float32)
     n_other, filled, moved = 0, 0, 0.0
@@ -148,7 +150,7 @@ def on_one_grid(ranges: Sequence[NDArray[np.float32]], geometries: Sequence[Scan
     beams = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     dropped = sum(one.n_beams for one in others) - filled
     note = (
-        f"{n_other} of {len(ranges)} scans have other bearings ({beams} beams) than most ({grid.n_beams} beams from "
+        f"{n_other} of {len(ranges)} scans have other bearings ({beams} beams) than usual ({grid.n_beams} beams from "
         f"{np.degrees(grid.angle_min):.1f} degrees, every {np.degrees(grid.increment):.3f}); their readings are taken "
         f"at the nearest of those, at most {np.degrees(moved):.2f} degrees away; {dropped / (filled + dropped):.1%} of "
         f"them are dropped, and {1.0 - filled / (n_other * grid.n_beams):.1%} of the bearings have none (NaN)"

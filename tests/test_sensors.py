@@ -67,6 +67,12 @@ def test_selecting_scans_keeps_columns_together():
     assert [scan.stamp for scan in log] == [0.0, 1.0, 2.0, 3.0]
 
 
+def test_a_stamp_is_shown_to_the_millisecond():
+    finder = RangeFinder.from_bearings([0.0], 8.0)
+    assert "stamp=1663971234.568" in repr(Scan([1.0], finder, stamp=1663971234.5678))
+    assert "stamp=12.3457" in repr(Scan([1.0], finder, stamp=12.345678))
+
+
 def test_columns_of_the_wrong_length_are_refused():
     with pytest.raises(InvalidInputError, match=r"ranges: expected shape \(4, 3\)"):
         SensorLog(FINDER, np.arange(4.0), np.ones((4, 2)), np.zeros((4, 3)), np.zeros((4, 3)))

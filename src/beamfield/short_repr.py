@@ -45,7 +45,8 @@ def _brief(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return _brief_array(value)
     if isinstance(value, float):
-        return repr(float(f"{value:.6g}"))
+        # Stamps are large, and six digits of them leave out days.
+        return repr(float(f"{value:.6g}" if abs(value) < 1e5 else f"{value:.3f}"))
     shown = short_repr(value) if is_dataclass(value) else repr(value)
     text = " ".join(shown.split()) if not isinstance(value, Mapping | tuple | list) or len(value) <= FEW else ""
     if text and len(text) <= LONGEST:

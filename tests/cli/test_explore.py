@@ -1,5 +1,7 @@
 """The command that serves the explorer."""
 
+import socket
+
 import pytest
 
 from beamfield.cli.main import main
@@ -52,6 +54,15 @@ def test_without_poses_it_is_said_what_is_left_to_do(world, served, capsys, tmp_
         "give poses with --poses; without poses nothing is learned from the log: drag the robot to where it was"
     )
     assert len(served) == 1
+
+
+def test_a_port_in_use_is_refused_before_anything_is_read(world, served, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert explore(world, "--port", str(port)) == 1
+    error = f"beamfield: error: --port {port}: Address already in use; without it any free port is taken\n"
+    assert capsys.readouterr().err == error
+    assert served == []
 
 
 def test_bad_input_is_refused_before_anything_is_served(world, served, capsys, tmp_path, monkeypatch):

@@ -218,3 +218,11 @@ def test_a_field_from_a_beam_model_says_what_it_leaves_out(folder, tmp_path, cap
     assert "sigma_slope" not in text
     path.write_text(beam_model_text(TRUTH, make_log(make_grid()).finder))
     assert "left out" not in summary(folder, capsys, "--params", str(path))
+
+
+@pytest.mark.parametrize(("model", "expected"), [("beam", "beam_model"), ("likelihood_field", "likelihood_field")])
+def test_a_file_of_another_kind_is_refused_as_what_the_model_takes(folder, tmp_path, capsys, model, expected):
+    path = tmp_path / "nav2.yaml"
+    path.write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5\n")
+    assert run(folder, "--model", model, "--params", str(path)) == 1
+    assert capsys.readouterr().err.endswith(f"expected a {expected}.yaml of beamfield\n")

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.cli.outcome import Outcome, show
 from beamfield.cli.wording import in_options
 from beamfield.io.bags.writer import write_bag
 from beamfield.io.read_log import read_log
 from tests.cli.simulated import simulated
+from tests.io.mini_bag import MiniBag
 
 NAV2 = (
     "amcl:\n  ros__parameters:\n    laser_model_type: likelihood_field_prob\n    z_hit: 0.5\n    laser_max_range: 9.0\n"
@@ -109,3 +112,29 @@ def test_a_log_and_a_map_that_are_swapped_are_said_to_be(command, log, grid, wor
     assert error.endswith("did you swap LOG and --map?\n")
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_what_was_assumed_about_log_and_map_is_said_before_an_error(world, tmp_path, capsys):
+    bag = MiniBag().scan(1.0).write(tmp_path)  # nothing says where the laser sits
+    (tmp_path / "dark.yaml").write_text((world / "map.yaml").read_text().replace("negate: 0", "negate: 1"))
+    (tmp_path / "map.pgm").write_bytes((world / "map.pgm").read_bytes())
+    words = ["likelihood", str(bag), "--map", str(tmp_path / "dark.yaml"), "--scan", "7"]
+    assert main(words) == 2
+    *_, of_map, _, of_mount, error = capsys.readouterr().err.splitlines()
+    assert of_map.startswith("note: dark.yaml: occupied cells outnumber free ones")
+    assert of_mount == (
+        "note: log: /scan: the bag has no transforms; the sensor is assumed at the robot's origin, facing forward: "
+        "if it is not, give --mount"
+    )
+    assert error.startswith("beamfield: error: --scan:")
+    assert main([*words, "--quiet"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_json_names_options_as_the_terminal_does(capsys):
+    finding = {"text": "read it with lone_poses='odometry'", "name": "lone_poses"}
+    outcome = Outcome("", document={"findings": [finding]}, notes=["no_return"])
+    show(outcome, Namespace(quiet=True, json=True, command="calibrate"))
+    said = json.loads(capsys.readouterr().out)
+    assert said["findings"] == [{"text": "read it with --lone-poses odometry", "name": "lone_poses"}]
+    assert said["notes"] == ["--no-return"]

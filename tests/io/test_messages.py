@@ -10,6 +10,7 @@ import pytest
 
 import beamfield as bf
 from beamfield.errors import InvalidInputError
+from beamfield.sensors import usable_ranges
 from tests.io.mini_bag import MiniBag
 
 HEADER = Message(stamp=Message(sec=12, nanosec=500_000_000), frame_id="laser")
@@ -50,6 +51,14 @@ def test_values_that_mean_no_return_are_those_of_float32():
     assert bf.scan_from_message(message).ranges[1] == 0.0
 
 
+@pytest.mark.parametrize("declared", [0.0, np.inf, 30.0])
+def test_the_callers_limit_takes_the_place_of_the_messages(declared):
+    message = laser_scan(ranges=np.array([5.6, 5.5, np.inf], np.float32), range_max=declared)
+    scan = bf.scan_from_message(message, max_range=5.6)
+    assert usable_ranges(scan.ranges, scan.finder).tolist() == [scan.finder.max_range, 5.5, scan.finder.max_range]
+    assert scan.finder.max_range == pytest.approx(5.6)
+
+
 def test_a_scan_is_what_read_log_makes_of_the_same_message(tmp_path):
     pytest.importorskip("rosbags")
     from rosbags.highlevel import AnyReader
@@ -80,7 +89,8 @@ def test_an_occupancy_grid_is_a_grid():
         (lambda: bf.scan_from_message(laser_scan(ranges=[])), r"ranges: expected shape \(k,\)"),
         (lambda: bf.scan_from_message(laser_scan(angle_increment=0.0)), "angle_increment"),
         (lambda: bf.scan_from_message(laser_scan(angle_increment=30.0)), "degrees"),
-        (lambda: bf.scan_from_message(laser_scan(range_max=0.0)), "max_range"),
+        (lambda: bf.scan_from_message(laser_scan(range_max=0.0)), "range_max: expected .* got 0.0; give max_range"),
+        (lambda: bf.scan_from_message(laser_scan(), max_range=-1.0), "max_range"),
         (lambda: bf.scan_from_message(occupancy_grid()), "message: expected a LaserScanMessage"),
         (lambda: bf.grid_from_message(laser_scan()), "message: expected an OccupancyGridMessage"),
         (lambda: bf.grid_from_message(occupancy_grid(width=4)), "expected width 4 x height 2 cells, got 6"),

@@ -141,6 +141,15 @@ def test_zeros_are_frequent_from_a_hundredth_on_and_beside_infinity_they_are_not
     assert np.isnan(found.ranges.ravel()[:n_zeros]).all()
 
 
+def test_glitches_beyond_a_declared_limit_do_not_hide_zeros(rng):
+    z, zeros = with_share(rng, readings(rng, longest=5.5), 0.0, 0.2)
+    z[0, :5] = rng.uniform(7.0, 9.0, 5)
+    found = resolve_no_return(z, declared_max=6.0)
+    assert (found.policy.values, found.policy.origin) == ((0.0,), "detected")
+    np.testing.assert_array_equal(np.isposinf(found.ranges), zeros | (z > 6.0))
+    assert found.max_range == 6.0
+
+
 def test_zeros_beside_codes_and_negative_readings_are_no_measurement(rng):
     z, _ = with_share(rng, readings(rng), 81.83, 0.05)
     z[:20, 0] = 0.0

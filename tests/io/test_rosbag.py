@@ -321,6 +321,21 @@ def test_zeros_are_too_close_where_infinity_means_no_return(rng, tmp_path):
     assert sensor.no_return.values == ()
 
 
+def test_zeros_mean_no_return_beside_measurements_beyond_the_limit(rng, tmp_path):
+    ranges = ordinary_ranges(rng)
+    ranges[rng.random(ranges.shape) < 0.3] = 0.0
+    far = rng.random(ranges.shape) < 0.02
+    ranges[far] = rng.uniform(10.5, 25.0, int(far.sum()))
+    sensor = scans_of(tmp_path, ranges)
+    assert np.array_equal(np.isposinf(sensor.ranges), ranges == 0.0)
+    assert (sensor.no_return.values, sensor.no_return.origin) == ((0.0,), "detected")
+    assert "are numbers beyond 10 m: give max_range" in sensor.no_return.explanation
+    ranges[far] = 10.5  # one value is the sensor's word for it
+    sensor = scans_of(tmp_path / "word", ranges)
+    assert sensor.no_return.values == ()
+    assert "are 0, taken as too close, unless no_return names 0 as well" in sensor.no_return.explanation
+
+
 def test_rare_zeros_of_a_sensor_without_lower_limit_are_no_measurement(rng, tmp_path):
     ranges = ordinary_ranges(rng)
     ranges[3, 3] = 0.0

@@ -205,5 +205,6 @@ def refinement_findings(refinement: PoseRefinement | None, *, drawn: bool = Fals
             f"({refinement.delay_share:.0%} of the shifts along the path).",
             values,
             why="While the robot moves, each scan is compared with the map at a wrong place.",
-            do="Correct the clock offset between the laser and the localizer, or the stamps of the poses.",
+            do="Correct the clock offset between the laser and what the poses are from (a localizer, or, if they were "
+            "fitted to the log, its odometry), or the stamps of the poses.",
         )

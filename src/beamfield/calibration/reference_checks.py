@@ -199,7 +199,8 @@ def _against_odometry(log: SensorLog, grid: OccupancyGrid | None) -> Iterator[Fi
             f"in {turns.mean():.0%} of the windows.",
             {"share": float(turns.mean())},
             why="Stamps may be skewed, or the odometry's turns are poor; wrong headings widen sigma_hit.",
-            do="Compare the clocks of laser and localizer; with poor odometry, go on.",
+            do="Compare the clocks of the laser, the odometry and the localizer, if the poses are from one; with poor "
+            "odometry, go on.",
         )
 
 

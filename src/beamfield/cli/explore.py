@@ -27,9 +27,10 @@ from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.terminal import complain
 from beamfield.cli.wording import in_options
-from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError, TooLittleDataError
+from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError, TooLittleDataError
 
 if TYPE_CHECKING:
+    from beamfield.explorer.session import Session
     from beamfield.localization.fitted_poses import FittedPoses
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import SensorLog
@@ -62,29 +63,20 @@ def run(arguments: argparse.Namespace) -> Outcome:
         import uvicorn
     except ImportError as error:
         raise MissingDependencyError("uvicorn", "explore", "the explorer") from error
-    from beamfield.explorer.open_session import open_session
-    from beamfield.explorer.parameter_set import read_set
     from beamfield.explorer.server import explorer_app, listening_socket, new_token, page_address
-    from beamfield.explorer.shown_run import own_poses_as_run, read_shown_run
 
     if arguments.port > 65535:
         raise InvalidInputError(f"--port: expected at most 65535, got {arguments.port}")
-    with options.progress(arguments) as progress:
-        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
-        # Before poses are fitted, which takes long: a bad file is refused at once.
-        sets = [read_set(file, grid, sensor.finder) for file in arguments.params]
-        shown = None if arguments.shown_run is None else read_shown_run(arguments.shown_run, sensor, grid)
-        log, fitted, more = _posed(sensor, grid, arguments, progress)
-        if shown is None and fitted is not None and fitted.instead_of is not None:
-            shown = own_poses_as_run(sensor, grid, fitted.instead_of)
-        session, why = open_session(
-            log, grid, sets, run=shown, fit=not arguments.no_fit and log.has_poses, progress=progress
-        )
-    notes = (*notes, *more, *([f"nothing was learned from the log: {why}"] if why else []))
-    for note in notes:
-        complain(f"note: {in_options(note)}")
-    token = new_token()
-    with listening_socket(arguments.port) as listening:
+    # Before the log is learned from, which takes minutes: a port that is in use is refused at once, and kept.
+    try:
+        listening = listening_socket(arguments.port)
+    except OSError as error:
+        raise BeamfieldError(f"--port {arguments.port}: {error.strerror}; without it any free port is taken") from error
+    with listening:
+        session, notes = _session(arguments)
+        for note in notes:
+            complain(f"note: {in_options(note)}")
+        token = new_token()
         port = listening.getsockname()[1]
         address = page_address(port, token)
         # At once, not with the result: there is none before the end.
@@ -96,6 +88,26 @@ def run(arguments: argparse.Namespace) -> Outcome:
         with suppress(KeyboardInterrupt):
             server.run(sockets=[listening])
     return Outcome("the explorer has ended", "", {"address": address}, (), [])
+
+
+def _session(arguments: argparse.Namespace) -> tuple[Session, tuple[str, ...]]:
+    """Read and learn; return what is served, and notes."""
+    from beamfield.explorer.open_session import open_session
+    from beamfield.explorer.parameter_set import read_set
+    from beamfield.explorer.shown_run import own_poses_as_run, read_shown_run
+
+    with options.progress(arguments) as progress:
+        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
+        # Before poses are fitted, which takes long: a bad file is refused at once.
+        sets = [read_set(file, grid, sensor.finder) for file in arguments.params]
+        shown = None if arguments.shown_run is None else read_shown_run(arguments.shown_run, sensor, grid)
+        log, fitted, more = _posed(sensor, grid, arguments, progress)
+        if shown is None and fitted is not None and fitted.instead_of is not None:
+            shown = own_poses_as_run(sensor, grid, fitted.instead_of)
+        session, why = open_session(
+            log, grid, sets, run=shown, fit=not arguments.no_fit and log.has_poses, progress=progress
+        )
+    return session, (*notes, *more, *([f"nothing was learned from the log: {why}"] if why else []))
 
 
 def _posed(

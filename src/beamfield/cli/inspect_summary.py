@@ -39,7 +39,7 @@ def map_facts(grid: OccupancyGrid, notes: Sequence[str] = ()) -> Facts:
         "occupied_thresh": grid.occupied_thresh,
         "free_thresh": grid.free_thresh,
         "cells": cells,
-        "notes": [*notes, *_map_notes(grid)],
+        "notes": [*notes, *map_notes(grid)],
     }
 
 
@@ -75,7 +75,8 @@ def path_length(poses: FloatArray) -> float:
     return float(np.hypot(*np.diff(known[:, :2], axis=0).T).sum())
 
 
-def _map_notes(grid: OccupancyGrid) -> list[str]:
+def map_notes(grid: OccupancyGrid) -> list[str]:
+    """Return what makes a map look wrong, one sentence each."""
     notes = []
     if not grid.occupied.any():
         notes.append("no cell is occupied: no beam has an expected range in this map")

@@ -188,12 +188,15 @@ def _counting(
 
 def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldParameters, list[str]]:
     """Return the parameters of the field, and what was left out."""
-    from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
-    from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
+    from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters, SavedLikelihoodField
 
-    if arguments.params is not None and is_likelihood_field(arguments.params):
-        return read_likelihood_field(arguments.params), []
-    beam = _parameters(arguments, scan)
+    if arguments.params is None:
+        beam = _parameters(arguments, scan)
+    else:
+        read = options.read_field_or_beam_model(arguments.params)
+        if isinstance(read, SavedLikelihoodField):
+            return read, []
+        beam = read
     notes = [
         f"{arguments.params} has {name} {getattr(beam, name):.4g}, which a likelihood field cannot have; it is left "
         "out. The likelihood_field.yaml of beamfield calibrate is learned without."

@@ -245,7 +245,6 @@ def _localizer(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespac
 
 def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> Any:
     from beamfield.io.parameters.beam_model_file import read_beam_model
-    from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
     from beamfield.maps.solids import hollowed
     from beamfield.models.beam import BeamModel
     from beamfield.models.beam_parameters import BeamParameters
@@ -255,7 +254,7 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     is_field = arguments.model != "beam"
     saved: Any = None
     if arguments.params is not None:
-        read: Any = read_likelihood_field if is_field and is_likelihood_field(arguments.params) else read_beam_model
+        read: Any = options.read_field_or_beam_model if is_field else read_beam_model
         saved = read(arguments.params)
     how = _counting(saved, log.finder.n_beams, arguments)
     table = options.read_range_table(arguments, grid, log.finder)

@@ -33,7 +33,7 @@ from beamfield.cli import (
     translate,
 )
 from beamfield.cli import map as map_command
-from beamfield.cli.outcome import show
+from beamfield.cli.outcome import show, show_notes
 from beamfield.cli.parser import Parser
 from beamfield.cli.terminal import complain
 from beamfield.cli.wording import in_options
@@ -94,6 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     threads = getattr(parsed, "threads", None)
+    parsed.noticed = []
     try:
         limited = nullcontext() if threads is None else set_threads(threads)
         with _unpacking_limit(parsed), limited, parallel_runs() if is_ours else nullcontext():
@@ -102,6 +103,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return int(outcome.code)
     except BeamfieldError as error:
+        # What was assumed about the input is often why nothing came of it.
+        show_notes(parsed.noticed, parsed)
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
         # The reader of our output (head, less) has gone; that is no error.

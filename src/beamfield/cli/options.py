@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,8 @@ from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, abo
 if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.maps.range_table import RangeTable
+    from beamfield.models.beam_parameters import SavedBeamModel
+    from beamfield.models.field_parameters import SavedLikelihoodField
     from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
 # Not `SUPPORTED` of `beamfield.io.read_log`: that loads the numerical libraries, and --help is to answer at once.
@@ -149,10 +152,11 @@ def check_picture(path: Path | None) -> None:
 
 def read_grid(arguments: argparse.Namespace) -> OccupancyGrid:
     """Read --map, and say if it seems to be the log."""
+    from beamfield.cli.inspect_summary import map_notes
     from beamfield.io.read_map import read_map
 
     try:
-        return read_map(arguments.map, topic=arguments.map_topic)
+        grid = read_map(arguments.map, topic=arguments.map_topic)
     except FormatError as error:
         if parameters := parameters_instead_of("map", arguments.map):
             raise parameters from None
@@ -160,6 +164,13 @@ def read_grid(arguments: argparse.Namespace) -> OccupancyGrid:
         if log is None or (looks_like_a_map(arguments.map) and not looks_like_a_map(log)):
             raise
         raise BeamfieldError(f"{error}; did you swap LOG and --map?") from error
+    keep_for_errors(arguments, arguments.map, map_notes(grid))
+    return grid
+
+
+def keep_for_errors(arguments: argparse.Namespace, path: Path, notes: Iterable[str]) -> None:
+    """Keep notes on a file that was read, to be shown if the command ends in an error and has no result to say them."""
+    arguments.noticed = [*getattr(arguments, "noticed", ()), *(f"{path.name}: {note}" for note in notes)]
 
 
 def read_walls(arguments: argparse.Namespace) -> OccupancyGrid:
@@ -181,6 +192,17 @@ def read_range_table(arguments: argparse.Namespace, grid: OccupancyGrid, finder:
     table = read_range_table(arguments.range_table, grid)
     table.check_reach(finder.max_range)
     return table
+
+
+def read_field_or_beam_model(path: Path) -> SavedLikelihoodField | SavedBeamModel:
+    """Read --params of a likelihood field: a likelihood_field.yaml, or a beam_model.yaml in its place."""
+    from beamfield.io.files.yaml_file import read_yaml
+    from beamfield.io.parameters.beam_model_file import read_beam_model
+    from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
+
+    # A file that is neither is refused as what the model asks for first.
+    is_beam_model = not is_likelihood_field(path) and "beam_model" in read_yaml(path).values
+    return read_beam_model(path) if is_beam_model else read_likelihood_field(path)
 
 
 def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: Path | None = None) -> ScanLog:
@@ -209,6 +231,7 @@ def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: P
         stamps=arguments.stamps,
         lone_poses=arguments.lone_poses,
     )
+    keep_for_errors(arguments, log_path, log.notes)
     if poses is None:
         return log
     track = read_trajectory(poses)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from beamfield.cli.terminal import complain, say, say_json
 from beamfield.cli.wording import in_options
+
+# Keys of a document under which people are told what was seen and what to do.
+SENTENCES = ("notes", "text", "why", "do", "explanation")
 
 
 @dataclass(frozen=True)
@@ -44,17 +47,32 @@ class Outcome:
     brief: str = ""
 
 
+def show_notes(notes: Iterable[str], arguments: argparse.Namespace) -> None:
+    """Print what is worth knowing, each note once, unless --quiet was given."""
+    if not arguments.quiet:
+        for note in dict.fromkeys(notes):
+            complain(f"note: {in_options(note)}")
+
+
 def show(outcome: Outcome, arguments: argparse.Namespace) -> None:
     """Print an outcome in the form asked for."""
-    if not arguments.quiet:
-        for note in outcome.notes:
-            complain(f"note: {in_options(note)}")
+    show_notes(outcome.notes, arguments)
     if arguments.json:
         said = {"command": arguments.command, "exit_code": outcome.code, "notes": list(outcome.notes)}
-        say_json({**said, "wrote": [str(path) for path in outcome.wrote], **(outcome.document or {})})
+        wrote = [str(path) for path in outcome.wrote]
+        say_json(_sentences_in_options({**said, "wrote": wrote, **(outcome.document or {})}))
     else:
         if outcome.text and not arguments.quiet:
             say(f"{outcome.text}\n")
         say(outcome.brief if arguments.quiet and outcome.brief else outcome.line)
     if outcome.problem:
         complain(f"beamfield: warning: {in_options(outcome.problem)}")
+
+
+def _sentences_in_options(value: Any, key: str = "") -> Any:
+    """Return a document in which sentences name options; names, such as a sensor's, stay as they are."""
+    if isinstance(value, Mapping):
+        return {name: _sentences_in_options(one, name) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_sentences_in_options(one, key) for one in value]
+    return in_options(value) if key in SENTENCES and isinstance(value, str) else value

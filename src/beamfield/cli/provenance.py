@@ -13,7 +13,9 @@ from beamfield.io.files.content_hash import file_hash
 from beamfield.printable import printable
 
 # They say where and how something is printed or computed, and change no result.
-_NO_OPTIONS = ("animation", "command", "json", "mcap", "out", "quiet", "rerun", "run", "seed", "threads", "verbose")
+_NO_OPTIONS = (
+    "animation", "command", "json", "mcap", "noticed", "out", "quiet", "rerun", "run", "seed", "threads", "verbose",
+)  # fmt: skip
 
 
 def file_name(path: str | Path) -> str:

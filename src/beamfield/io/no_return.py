@@ -65,7 +65,8 @@ def resolve_no_return(
     2. "detect" looks for *codes*: the most frequent value in the top tenth of the readings, and its neighbours within
        0.2%, if it is `CONTRAST` times as frequent as the values next below it. Without a limit from (1) the
        smallest code is the limit.
-    3. "detect" takes zeros as no return if at least 1% of the readings are 0 and nothing else means "no return".
+    3. "detect" takes zeros as no return if at least 1% of the readings are 0, there are no codes, and none is +inf:
+       readings beyond a declared limit are glitches then, and no way to say that there was no return.
     4. Without any limit so far, it is set just beyond the largest reading, and a note says so.
 
     Zeros that are not explained so and negative readings are not measurements (NaN).
@@ -106,8 +107,8 @@ def resolve_no_return(
     if not isinstance(rule, str):
         values, origin = tuple(sorted(float(v) for v in rule)), "given"
     mask = _mask(z, values, limit)
-    if rule == "detect" and not codes and not mask.any() and np.mean(z == 0.0) >= FREQUENT_ZEROS:
-        values, origin, mask = (0.0,), "detected", z == 0.0
+    if rule == "detect" and not codes and not (z == np.inf).any() and np.mean(z == 0.0) >= FREQUENT_ZEROS:
+        values, origin, mask = (0.0,), "detected", mask | (z == 0.0)
     _drop_impossible(z, mask, notes)
     z[mask] = np.inf
     if limit is None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.files.bag_storage import BAG_SUFFIXES, storage_of
+from beamfield.io.files.bag_storage import BAG_SUFFIXES, is_packed_storage, storage_of
 from beamfield.io.files.text_lines import is_number, read_lines
 from beamfield.io.logs.carmen import read_carmen
 from beamfield.io.logs.carmen_messages import CARMEN_SCANS
@@ -158,7 +158,7 @@ def _adjusted(log: ScanLog, mask: Sequence[tuple[float, float]], opening_angle: 
 def _is_bag(path: Path) -> bool:
     if path.is_dir():
         return any(file.name == "metadata.yaml" or file.suffix in BAG_SUFFIXES for file in path.iterdir())
-    return path.suffix in BAG_SUFFIXES or storage_of(path) is not None
+    return path.suffix in BAG_SUFFIXES or is_packed_storage(path) or storage_of(path) is not None
 
 
 def _only(log: ScanLog, asked: tuple[str, ...]) -> ScanLog:

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import checked, require
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray, as_pose, chained
 from beamfield.localization.course_choice import FoundCourse, StartHypothesis, choose_course
 from beamfield.localization.drive import Drive, prepare, with_points
+from beamfield.localization.scan_delay import scan_delay
 from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_start import Course
@@ -185,7 +186,12 @@ def find_course(
     drive = prepare(log, odometry)
     _check_points(drive)
     _check_moves(drive, "odometry" if log.has_odometry else "scans (the log has no odometry)")
-    found = choose_course(log, grid, drive, walls_of(grid), initial, report)
+    try:
+        found = choose_course(log, grid, drive, walls_of(grid), initial, report)
+    except TrajectoryNotFoundError as error:
+        if not log.has_odometry or (late := scan_delay(log)) is None:
+            raise
+        raise TrajectoryNotFoundError(f"{error}. {late.text} {late.do}") from error
     return found if log.has_odometry else found._replace(findings=(_no_odometry(), *found.findings))
 
 
@@ -220,7 +226,11 @@ def fit_course(
     trusted, more = judge_trajectory(drive, walls, fitted, cut, max_deviation)
     # Without odometry it is an alignment that slipped, not a wheel.
     of_wheels = () if log.has_odometry else ("wheel-slip", "odometry-scale")
-    seen = (one for one in odometry_findings(drive, found.course, fitted) if one.name not in of_wheels)
+    seen = [one for one in odometry_findings(drive, found.course, fitted) if one.name not in of_wheels]
+    late = scan_delay(log, fitted.poses) if log.has_odometry else None
+    if late is not None:
+        # Scans with the wrong time look like slips.
+        seen = [late, *(one for one in seen if one.name != "wheel-slip")]
     findings = [*found.findings, *seen, *more]
     if (outdated := find_outdated_map(log, grid, fitted.poses)) is not None:
         findings.append(outdated)

@@ -17,7 +17,7 @@ from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
 from beamfield.io.bags.unpacking import Allowance, check_storage, limit_chunks, unpack_file, unpack_message
 from beamfield.io.files.atomic import scratch_folder
-from beamfield.io.files.bag_storage import storage_of
+from beamfield.io.files.bag_storage import is_packed_storage, repair_of, storage_of
 from beamfield.io.files.yaml_file import read_yaml
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 METADATA = "metadata.yaml"
 MAX_METADATA_BYTES = 2**20  # a thousand topics need less
+REINDEX = "`ros2 bag reindex` writes the metadata anew"
 
 
 @contextmanager
@@ -263,13 +264,18 @@ def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes]
 
 def _files_of_metadata(folder: Path) -> tuple[list[Path], str]:
     """Return the storage files of a bag, and how they are compressed: "", "file" or "message"."""
-    metadata = read_yaml(folder / METADATA, max_bytes=MAX_METADATA_BYTES, number_keys=True)
-    bag = metadata.value("rosbag2_bagfile_information")
-    files = [folder / PurePath(name).name for name in bag["relative_file_paths"]]
+    try:
+        metadata = read_yaml(folder / METADATA, max_bytes=MAX_METADATA_BYTES, number_keys=True)
+        bag = metadata.value("rosbag2_bagfile_information")
+        files = [folder / PurePath(name).name for name in bag["relative_file_paths"]]
+        mode = (bag.get("compression_mode") or "").lower()
+    except FormatError as error:
+        raise FormatError(folder, f"{str(error).removeprefix(f'{folder}/')}; {REINDEX}") from error
+    except (AttributeError, KeyError, TypeError) as error:
+        raise FormatError(folder / METADATA, f"damaged or truncated: {error}; {REINDEX}") from error
     missing = [file.name for file in files if not file.is_file()]
     if missing:
-        raise FormatError(folder, f"some files are missing: {missing}")
-    mode = (bag.get("compression_mode") or "").lower()
+        raise FormatError(folder, f"some files are missing: {missing}; without them, {REINDEX}")
     if mode not in ("file", "message"):
         return files, ""
     if bag.get("compression_format") != "zstd":
@@ -290,6 +296,10 @@ def _resolve(path: Path) -> list[Path]:
     """Return what to open for a path that a user names."""
     if path.is_dir():
         return [path] if (path / METADATA).is_file() else _without_metadata(path)
+    if is_packed_storage(path):
+        raise FormatError(
+            path, f"one file of a compressed ROS 2 bag: give the bag's folder, or unpack it with `zstd -d {path.name}`"
+        )
     storage = storage_of(path)
     if storage is None:
         with path.open("rb") as file:
@@ -349,11 +359,15 @@ def _speaking_of(path: Path, field: str | None = None) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (None, errno.EINVAL, errno.EOVERFLOW, errno.EFBIG):
             raise
-        raise FormatError(path, _in_words(error), field=field) from error
+        raise _damaged(path, error, field) from error
     except Exception as error:
-        raise FormatError(path, _in_words(error), field=field) from error
+        raise _damaged(path, error, field) from error
 
 
-def _in_words(error: Exception) -> str:
+def _damaged(path: Path, error: Exception, field: str | None) -> FormatError:
     text = " ".join(str(error).split())
-    return f"the bag is damaged or truncated: {text[:300] or type(error).__name__}"
+    repair = repair_of(path)
+    mend = f"; `{repair}` may save what is left" if repair else ""
+    return FormatError(
+        path, f"the bag is damaged or truncated: {text[:300] or type(error).__name__}{mend}", field=field
+    )

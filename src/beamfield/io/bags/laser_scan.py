@@ -13,10 +13,10 @@ from beamfield.arguments import as_floats, checked
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.io.bags.bag_file import BagMessage, seconds
+from beamfield.io.bags.bearing_grid import ScanGeometry, on_one_grid
 from beamfield.sensors import RangeFinder, Scan
 
 STAMP_TOLERANCE = 0.5  # seconds: neighbours may swap on a lossy network; a clock that was set jumps further
-BEARING_TOLERANCE = 1e-3  # radians: what the geometry may change between the messages of one topic
 
 
 class LaserScanMessage(Protocol):
@@ -49,7 +49,11 @@ class LaserScanMessage(Protocol):
 
 @checked
 def scan_from_message(
-    message: LaserScanMessage, *, mount: ArrayLike = (0.0, 0.0, 0.0), no_return: tuple[float, ...] = ()
+    message: LaserScanMessage,
+    *,
+    mount: ArrayLike = (0.0, 0.0, 0.0),
+    no_return: tuple[float, ...] = (),
+    max_range: float | None = None,
 ) -> Scan:
     """Turn a message of sensor_msgs/LaserScan into a scan, as a callback of rclpy gets it; ROS is not needed.
 
@@ -62,6 +66,8 @@ def scan_from_message(
     no_return
         Values in metres by which the sensor says "no return", if it does not follow REP 117 (+inf, or range_max and
         more): 0.0 for many.
+    max_range
+        The sensor's limit in metres, for drivers that leave range_max at 0 or inf; None takes it from the message.
 
     Returns
     -------
@@ -89,13 +95,17 @@ def scan_from_message(
     ranges = np.array(as_floats(message.ranges, "ranges"))
     if ranges.ndim != 1 or len(ranges) == 0:
         raise InvalidInputError(f"ranges: expected shape (k,) with beams, got {ranges.shape}")
-    angle_min, increment = float(message.angle_min), float(message.angle_increment)
-    _check_geometry(angle_min, increment, len(ranges))
+    geometry = ScanGeometry(float(message.angle_min), float(message.angle_increment), len(ranges))
+    _check_geometry(*geometry)
     for value in no_return:
         ranges[ranges == np.float32(value)] = np.inf
+    # Of float32 precision as the ranges are: a sensor that answers 5.6 for "no return" writes 5.599999904632568.
+    limit = float(np.float32(message.range_max if max_range is None else max_range))
+    if max_range is None and not 0.0 < limit < np.inf:
+        raise InvalidInputError(f"range_max: expected a finite number of metres > 0, got {limit!r}; give max_range")
     finder = RangeFinder.from_bearings(
-        _bearings(angle_min, increment, len(ranges)),
-        float(message.range_max),
+        _bearings(geometry),
+        limit,
         mount=mount,
         min_range=float(message.range_min),
         name=str(message.header.frame_id),
@@ -138,7 +148,8 @@ class LaserScanCollector:
     """Collects the messages of one topic and checks that they belong together.
 
     The direction of beam i is ``angle_min + i angle_increment``, computed in float64 from the float32 fields, whose
-    rounding leaves it less than 1e-6 radians off. The increment may be negative.
+    rounding leaves it less than 1e-6 radians off. The increment may be negative. The number of beams and their
+    directions may change from scan to scan, as those of lidars do whose motor runs freely; see `on_one_grid`.
 
     Parameters
     ----------
@@ -150,7 +161,7 @@ class LaserScanCollector:
 
     path: Path
     topic: str
-    _geometry: tuple[float, float] | None = None
+    _geometries: list[ScanGeometry] = field(default_factory=list)
     _limits: tuple[float, float] = (0.0, 0.0)
     _frame: str = ""
     _stamps: list[float] = field(default_factory=list)
@@ -164,18 +175,23 @@ class LaserScanCollector:
         Raises
         ------
         FormatError
-            If the scan is empty, its angles make no sense, or the number of beams, the angles, the limits or the frame
-            differ from those of the first message; the topic and the message's number are named.
+            If the scan is empty, its angles make no sense, or the limits or the frame differ from those of the first
+            message; the topic and the message's number are named.
         """
         scan = message.content
         ranges = np.asarray(scan.ranges, dtype=np.float32)
         if len(ranges) == 0:
-            raise self._error(message, "the scan has no beams")
-        geometry = (float(scan.angle_min), float(scan.angle_increment))
-        if self._geometry is None:
-            self._begin(message, geometry, len(ranges))
+            raise self._error(message.place, "the scan has no beams")
+        geometry = ScanGeometry(float(scan.angle_min), float(scan.angle_increment), len(ranges))
+        try:
+            _check_geometry(*geometry)
+        except InvalidInputError as error:
+            raise self._error(message.place, str(error)) from error
+        if self._geometries:
+            self._compare(message)
         else:
-            self._compare(message, geometry, len(ranges))
+            self._begin(message, geometry)
+        self._geometries.append(geometry)
         self._stamps.append(message.stamp)
         self._recorded.append(message.recorded)
         self._ranges.append(ranges)
@@ -186,23 +202,27 @@ class LaserScanCollector:
         Raises
         ------
         FormatError
-            If there are none, the stamps go backwards by more than `STAMP_TOLERANCE`, or no range is a number.
+            If there are none, the stamps go backwards by more than `STAMP_TOLERANCE`, no range is a number, or a scan
+            has no beam in the direction of any other's.
         """
-        if self._geometry is None:
+        if not self._geometries:
             raise FormatError(self.path, "the topic holds no scans", field=self.topic)
         # Damaged messages may hold signalling NaNs, of which NumPy would warn.
         with np.errstate(invalid="ignore"):
-            ranges = np.stack(self._ranges).astype(np.float64)
+            gridded = on_one_grid(self._ranges, self._geometries)
+            if gridded.elsewhere is not None:
+                raise self._looks_elsewhere(gridded.elsewhere)
+            ranges = gridded.ranges.astype(np.float64)
         if np.isnan(ranges).all():
             raise FormatError(
                 self.path, f"every range of all {len(ranges)} scans is NaN (no measurement)", field=self.topic
             )
         stamps, order = self._ordered_stamps()
-        angle_min, increment = self._geometry
+        self._notes += [f"{self.topic}: {note}" for note in gridded.notes]
         return LaserScans(
             topic=self.topic,
             frame=self._frame,
-            bearings=_bearings(angle_min, increment, ranges.shape[1]),
+            bearings=_bearings(gridded.grid),
             range_min=self._limits[0],
             range_max=self._limits[1],
             stamps=stamps,
@@ -210,47 +230,38 @@ class LaserScanCollector:
             notes=tuple(self._notes),
         )
 
-    def _begin(self, message: BagMessage, geometry: tuple[float, float], n_beams: int) -> None:
-        try:
-            _check_geometry(*geometry, n_beams)
-        except InvalidInputError as error:
-            raise self._error(message, str(error)) from error
-        angle_min, increment = geometry
+    def _begin(self, message: BagMessage, geometry: ScanGeometry) -> None:
+        angle_min, increment, n_beams = geometry
         declared = (float(message.content.angle_max) - angle_min) / increment + 1.0 if increment else 1.0
         if abs(declared - n_beams) > 1.5:
             self._notes.append(
                 f"{self.topic}: angle_min, angle_max and angle_increment make {declared:.1f} beams, but the scans have "
                 f"{n_beams}; beam i is taken at angle_min + i angle_increment"
             )
-        self._geometry = geometry
         self._limits = (float(message.content.range_min), float(message.content.range_max))
         self._frame = message.content.header.frame_id
         if not isinstance(self._frame, str):
-            raise self._error(message, f"expected a frame_id, got {self._frame!r}")
+            raise self._error(message.place, f"expected a frame_id, got {self._frame!r}")
 
-    def _compare(self, message: BagMessage, geometry: tuple[float, float], n_beams: int) -> None:
+    def _compare(self, message: BagMessage) -> None:
         scan = message.content
-        known = len(self._ranges[0])
-        if n_beams != known:
-            raise self._error(message, f"the scan has {n_beams} beams, the first scan of the topic has {known}")
-        first = self._geometry or geometry
-        shift = np.subtract(geometry, first)
-        worst = max(abs(shift[0]), abs(shift[0] + shift[1] * (n_beams - 1)))
-        if not worst <= BEARING_TOLERANCE:
-            raise self._error(
-                message,
-                f"angle_min {geometry[0]!r} and angle_increment {geometry[1]!r} differ from those of the first scan, "
-                f"{first[0]!r} and {first[1]!r}",
-            )
         limits = (float(scan.range_min), float(scan.range_max))
         if not np.array_equal(limits, self._limits, equal_nan=True):
             raise self._error(
-                message, f"range_min, range_max {limits} differ from those of the first scan, {self._limits}"
+                message.place, f"range_min, range_max {limits} differ from those of the first scan, {self._limits}"
             )
         if scan.header.frame_id != self._frame:
             raise self._error(
-                message, f"frame_id {scan.header.frame_id!r} differs from that of the first scan, {self._frame!r}"
+                message.place, f"frame_id {scan.header.frame_id!r} differs from that of the first scan, {self._frame!r}"
             )
+
+    def _looks_elsewhere(self, scan: int) -> FormatError:
+        angle_min, increment, n_beams = self._geometries[scan]
+        return self._error(
+            f"{self.topic}, message {scan + 1}",
+            f"angle_min {angle_min!r}, angle_increment {increment!r} and {n_beams} beams: it has no beam where most "
+            "scans of the topic have theirs; do two sensors publish there?",
+        )
 
     def _ordered_stamps(self) -> tuple[FloatArray, NDArray[np.intp]]:
         stamps = np.array(self._stamps)
@@ -259,8 +270,8 @@ class LaserScanCollector:
             stamps = np.array(self._recorded)
         return ordered_stamps(stamps, self.path, self.topic, self._notes)
 
-    def _error(self, message: BagMessage, text: str) -> FormatError:
-        return FormatError(self.path, text, field=message.place)
+    def _error(self, place: str, text: str) -> FormatError:
+        return FormatError(self.path, text, field=place)
 
 
 def _check_geometry(angle_min: float, increment: float, n_beams: int) -> None:
@@ -276,8 +287,8 @@ def _check_geometry(angle_min: float, increment: float, n_beams: int) -> None:
         )
 
 
-def _bearings(angle_min: float, increment: float, n_beams: int) -> FloatArray:
-    angles = np.asarray(angle_min + increment * np.arange(n_beams), dtype=np.float64)
+def _bearings(geometry: ScanGeometry) -> FloatArray:
+    angles = geometry.angles
     # Some drivers go on counting after a full turn.
     return angles if np.abs(angles).max() <= 2.0 * np.pi else wrap_angle(angles)
 

@@ -81,8 +81,8 @@ def read_bag(
     ------
     FormatError
         If the bag is damaged, has no scans, frames do not connect, a sensor is tilted by more than 5 degrees or moves
-        on the robot, stamps run backwards, or the scans of a topic differ in their beams: file, topic and message
-        number are named.
+        on the robot, stamps run backwards, or a scan of a topic has no beam where the others have theirs: file, topic
+        and message number are named.
     InvalidInputError
         If a topic or frame that was asked for is not there.
     MissingDependencyError

@@ -146,7 +146,10 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
     if scans.topic in content.cones or len(content.frames) == 0 or sensor == base:
         if scans.topic not in content.cones:
             why = "the bag has no transforms" if len(content.frames) == 0 else "the scans are in the robot's own frame"
-            notes.append(f"{scans.topic}: {why}; the sensor is assumed at the robot's origin, facing forward")
+            notes.append(
+                f"{scans.topic}: {why}; the sensor is assumed at the robot's origin, facing forward: if it is "
+                "not, give mount"
+            )
         return compose(np.zeros(3), in_sensor)
     found = content.frames.look_up(base, sensor, scans.stamps, hold=True)
     position, rotation = np.median(found.translation, axis=0), found.rotation[0]

@@ -55,13 +55,14 @@ def resolve_scan_ranges(
     """Return ranges in which the sensor's own values for "no return" are +inf, the limit, and what was done.
 
     REP 117 needs no conversion: +inf, and what reaches max_range, is no return; NaN is no measurement; -inf, and what
-    falls short of min_range, is too close. Where a driver says it otherwise, "detect" looks for it, but only in scans
-    in which less than `RARE` of the readings say "no return" in those ways:
+    falls short of min_range, is too close. Where a driver says it otherwise, "detect" looks for it:
 
-    1. zeros, if they are at least `FREQUENT`;
-    2. one value below max_range that is the greatest of all and `CONTRAST` times as frequent as any other in the tenth
-       below it. It is the sensor's true limit then, unless the user gives one. Drivers write one value; a far wall in
-       front of a robot that stands is frequent too, but its noise spreads it over neighbouring values.
+    1. zeros, if they are at least `FREQUENT`, and less than `RARE` of the readings are +inf or any one value that
+       reaches max_range: different ones are measurements, of a sensor that sees further than it declares;
+    2. if less than `RARE` of the readings are +inf or reach max_range, one value below max_range that is the greatest
+       of all and `CONTRAST` times as frequent as any other in the tenth below it. It is the sensor's true limit then,
+       unless the user gives one. Drivers write one value; a far wall in front of a robot that stands is frequent too,
+       but its noise spreads it over neighbouring values.
 
     A zero that is not explained so is not a range: it becomes NaN if min_range is 0 (else it is too close anyway).
 
@@ -93,15 +94,30 @@ def resolve_scan_ranges(
     with np.errstate(invalid="ignore"):
         declared = float(np.mean(ranges >= max_range))
     zero = ranges == 0.0
+    if float(zero.mean()) >= FREQUENT and _share_of_one_value(ranges, max_range) < RARE:
+        why = "are 0, and nothing else says that there was no return" + _beyond(ranges, max_range)
+        return _converted(ranges, max_range, zero, (0.0,), "detected", why)
     if declared < RARE:
-        if float(zero.mean()) >= FREQUENT:
-            why = "are 0, and nothing else says that there was no return"
-            return _converted(ranges, max_range, zero, (0.0,), "detected", why)
         code = _find_repeated_maximum(ranges, min_range)
         if code is not None:
             why = f"are exactly {code:.6g} m, the greatest value and far more frequent than those below it"
             return _converted(ranges, max_range if limit_given else code, ranges == code, (code,), "detected", why)
     return _declared(ranges, min_range, max_range, declared, zero)
+
+
+def _share_of_one_value(ranges: FloatArray, max_range: float) -> float:
+    """Return the share of the most frequent value that reaches the limit, +inf among them."""
+    with np.errstate(invalid="ignore"):
+        _, counts = np.unique(ranges[ranges >= max_range], return_counts=True)
+    return float(counts.max(initial=0) / ranges.size)
+
+
+def _beyond(ranges: FloatArray, max_range: float) -> str:
+    """Return what to say of readings beyond the limit; nothing if they are rare."""
+    share = float(np.mean(np.isfinite(ranges) & (ranges > max_range)))
+    if share < RARE:
+        return ""
+    return f" ({share:.2%} are numbers beyond {max_range:.6g} m: give max_range if the sensor measures that far)"
 
 
 def _find_repeated_maximum(ranges: FloatArray, min_range: float) -> float | None:
@@ -141,12 +157,12 @@ def _declared(ranges: FloatArray, min_range: float, max_range: float, share: flo
     """Return the ranges as REP 117 has them, with what a user should know about them in the explanation."""
     limit = f"{max_range:.6g} m"
     text = f"{share:.2%} of the readings are +inf or reach {limit}" if share else f"no reading reaches {limit}"
-    beyond = float(np.mean(np.isfinite(ranges) & (ranges > max_range)))
-    if beyond >= RARE:
-        text += f" ({beyond:.2%} are numbers beyond it: give max_range if the sensor measures that far)"
+    text += _beyond(ranges, max_range)
     if min_range <= 0.0 and zero.any():
         text += f"; {float(zero.mean()):.2%} are 0, taken as no measurement"
         ranges = np.where(zero, np.nan, ranges)
+    elif float(zero.mean()) >= FREQUENT:
+        text += f"; {float(zero.mean()):.2%} are 0, taken as too close, unless no_return names 0 as well"
     missing = float(np.isnan(ranges).mean())
     if share < RARE and missing >= FREQUENT:
         text += f"; {missing:.2%} are NaN: no measurement, unless no_return names NaN as this sensor's word for it"

@@ -1,0 +1,137 @@
+"""Scans stamped later or earlier than the odometry: the shift at which both turn at the same time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.finding import Finding
+from beamfield.geometry import FloatArray, between, wrap_angle
+from beamfield.localization.alignment import align
+from beamfield.sensors import SensorLog
+
+# Beams of each scan that are aligned, and pairs of neighbouring scans at most: 8 ms each.
+BEAMS, MOST_PAIRS = 180, 300
+# Windows of fitted poses that are compared at most.
+MOST_WINDOWS = 2000
+# Fewer pairs say nothing. Scans further apart than so many seconds are not aligned.
+FEWEST_PAIRS, LONGEST_STEP = 60, 0.35
+# Pairs count that lie within so many seconds of turning faster than this, radians per second.
+TURNING, NEAR = 0.1, 0.5
+# Delays that are tried, and their step, seconds.
+REACH, STEP = 1.5, 0.02
+# Radians by which an alignment that failed or a wheel that slipped counts at most.
+OUTLIER = 0.1
+# From here on it is named, seconds: of the real logs that are known to be good some are up to 0.10 s off.
+LEAST_DELAY = 0.15
+# Squares of the differences in turning that the delay has to explain; and what may be left of those of the turning.
+EXPLAINED, LEFT = 0.4, 0.25
+
+
+class _Shift(NamedTuple):
+    """The delay at which turns agree with the odometry's, and how well."""
+
+    delay: float
+    explained: float
+    fits: bool
+
+
+def scan_delay(log: SensorLog, fitted: FloatArray | None = None) -> Finding | None:
+    """Look for a constant delay between the stamps of scans and odometry, in how each of them turns.
+
+    Neighbouring scans are aligned where the robot turns, which needs neither map nor poses. Poses that were fitted to
+    scans and odometry tell less: they lie between both, and show half of the delay or less, but cost nothing.
+
+    Parameters
+    ----------
+    log
+        Scans with odometry.
+    fitted
+        (t, 3) poses that were fitted to both, if there are any: where these show no delay at all, no scans are aligned.
+
+    Returns
+    -------
+    "scan-delay", a warning, if one delay of 0.15 s or more makes the turns agree; else None, also where the robot
+    hardly turns, scans are too rare, or odometry is missing.
+    """
+    known = np.isfinite(log.odometry).all(axis=1)
+    if known.sum() < FEWEST_PAIRS:
+        return None
+    stamps, headings = log.stamps[known], np.unwrap(log.odometry[known, 2])
+    pairs = _turning_pairs(log, stamps, headings)
+    if len(pairs) < FEWEST_PAIRS or (fitted is not None and not _is_hinted(log.stamps, fitted, stamps, headings)):
+        return None
+    turns = np.array([_turn(log, int(i)) for i in pairs])
+    pairs, turns = pairs[np.isfinite(turns)], turns[np.isfinite(turns)]
+    if len(turns) < FEWEST_PAIRS:
+        return None
+    found = _best_shift(turns, log.stamps[pairs], log.stamps[pairs + 1], stamps, headings)
+    if not found.fits or found.explained < EXPLAINED or abs(found.delay) < LEAST_DELAY - 1e-9:
+        return None
+    return _finding(found, len(turns))
+
+
+def _is_hinted(times: FloatArray, fitted: FloatArray, stamps: FloatArray, headings: FloatArray) -> bool:
+    """Return whether fitted poses turn at another time than the odometry."""
+    begin = np.arange(0, len(times), max(1, len(times) // MOST_WINDOWS))
+    end = np.searchsorted(times, times[begin] + NEAR)
+    inside = (times[begin] - REACH >= stamps[0]) & (times[end.clip(max=len(times) - 1)] + REACH <= stamps[-1])
+    begin, end = begin[inside & (end < len(times))], end[inside & (end < len(times))]
+    turned = np.unwrap(fitted[:, 2])
+    found = _best_shift(turned[end] - turned[begin], times[begin], times[end], stamps, headings)
+    return abs(found.delay) > 0.5 * STEP
+
+
+def _best_shift(
+    turns: FloatArray, begin: FloatArray, end: FloatArray, stamps: FloatArray, headings: FloatArray
+) -> _Shift:
+    """Return the delay with the least squares of the differences between turns and those of the odometry."""
+    n_steps = round(REACH / STEP)
+    delays, costs = STEP * np.arange(-n_steps, n_steps + 1), np.empty(2 * n_steps + 1)
+    for i, delay in enumerate(delays):
+        driven = np.interp(end - delay, stamps, headings) - np.interp(begin - delay, stamps, headings)
+        costs[i] = np.minimum((turns - driven) ** 2, OUTLIER**2).sum()
+    best = int(costs.argmin())
+    least = LEFT * float(np.minimum(turns**2, OUTLIER**2).sum())
+    fits = best not in (0, len(delays) - 1) and bool(costs[best] <= least)
+    return _Shift(float(delays[best]), float(1.0 - costs[best] / max(costs[n_steps], 1e-12)), fits)
+
+
+def _turning_pairs(log: SensorLog, stamps: FloatArray, headings: FloatArray) -> NDArray[np.int64]:
+    """Return the first of each two neighbouring scans that are near a turn, and inside the odometry at all delays."""
+    first = np.flatnonzero((np.diff(log.stamps) > 0.0) & (np.diff(log.stamps) <= LONGEST_STEP))
+    begin, end = log.stamps[first], log.stamps[first + 1]
+    turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(headings)))])
+    near = np.interp(end + NEAR, stamps, turned) - np.interp(begin - NEAR, stamps, turned)
+    inside = (begin - REACH >= stamps[0]) & (end + REACH <= stamps[-1])
+    first = first[inside & (near > TURNING * (2.0 * NEAR))]
+    spread = np.linspace(0, len(first) - 1, min(MOST_PAIRS, len(first))).round().astype(np.int64)
+    return np.asarray(first[spread], dtype=np.int64)
+
+
+def _turn(log: SensorLog, i: int) -> float:
+    """Return by how much scan i + 1 is turned against scan i, radians; NaN if they cannot be aligned."""
+    step = between(log.odometry[i], log.odometry[i + 1])
+    guess = step if np.isfinite(step).all() else np.zeros(3)
+    found = align(log.scan(i + 1).every(BEAMS), log.scan(i).every(BEAMS), guess)
+    # Along a corridor the position is undetermined, and the heading is not.
+    return float(wrap_angle(found.pose[2])) if found.problem in ("", "undetermined") else float("nan")
+
+
+def _finding(found: _Shift, n_pairs: int) -> Finding:
+    delay, explained, _ = found
+    side, sign = ("later", "-") if delay > 0.0 else ("earlier", "+")
+    return Finding(
+        "scan-delay",
+        "warning",
+        f"The scans are stamped {abs(delay):.2f} s {side} than the odometry: with their stamps shifted by "
+        f"{sign}{abs(delay):.2f} s, both turn at the same time ({n_pairs} pairs of scans; that explains "
+        f"{explained:.0%} of the differences).",
+        {"delay_s": delay, "explained": explained, "pairs": float(n_pairs)},
+        why="In turns each scan is put where the robot was not yet, or no longer: that looks like slipping wheels, and "
+        "any filter on this robot suffers from it.",
+        do="Compare the clocks of scanner and base (NTP, chrony), and what the scanner's driver stamps; set its time "
+        "offset, and record again.",
+    )

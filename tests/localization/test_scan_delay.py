@@ -1,0 +1,82 @@
+"""Scans whose stamps are off: the delay is named with its sign; drives with good stamps are left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from beamfield.errors import TrajectoryNotFoundError
+from beamfield.geometry import interpolate_poses
+from beamfield.localization.scan_delay import scan_delay
+from beamfield.localization.trajectory import fit_trajectory
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.log import simulate_log
+from tests.conftest import TRUTH
+
+
+@pytest.fixture(scope="module")
+def tour(office: OccupancyGrid) -> SensorLog:
+    """A minute with eight scans per second and odometry that drifts."""
+    finder = RangeFinder.from_bearings(np.linspace(-2.2, 2.2, 121), 12.0, min_range=0.1)
+    return simulate_log(office, finder, TRUTH, duration=60.0, scan_rate=8.0, seed=5).only_sensor()
+
+
+def stamped_late(log: SensorLog, seconds: float) -> SensorLog:
+    """Return a log whose scans bear later stamps: beside each is then the odometry of a later time."""
+    stamps = log.stamps + seconds
+    odometry = interpolate_poses(log.stamps, log.odometry, stamps.clip(log.stamps[0], log.stamps[-1]))
+    odometry[(stamps < log.stamps[0]) | (stamps > log.stamps[-1])] = np.nan
+    return replace(log, stamps=stamps, odometry=odometry, poses=np.full_like(log.poses, np.nan))
+
+
+@pytest.mark.parametrize("seconds", [0.3, -0.4])
+def test_a_delay_is_measured_and_has_a_sign(tour: SensorLog, seconds: float):
+    found = scan_delay(stamped_late(tour, seconds))
+    assert found is not None
+    assert found.values["delay_s"] == pytest.approx(seconds, abs=0.03)
+    side, shift = ("later", "-0.3") if seconds > 0 else ("earlier", "+0.4")
+    assert f"s {side} than the odometry" in found.text
+    assert f"shifted by {shift}" in found.text
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.08])
+def test_good_stamps_and_small_delays_are_not_named(tour: SensorLog, seconds: float):
+    assert scan_delay(stamped_late(tour, seconds)) is None
+
+
+def test_a_wrong_sign_of_the_turns_is_no_delay(tour: SensorLog):
+    assert scan_delay(replace(tour, odometry=tour.odometry * [1.0, -1.0, -1.0])) is None
+
+
+def test_scans_that_are_rare_say_nothing_of_a_delay(tour: SensorLog):
+    assert scan_delay(stamped_late(tour.select(np.arange(0, len(tour), 4)), 0.4)) is None
+
+
+def test_a_trajectory_names_the_delay_in_place_of_slips(tour: SensorLog, office: OccupancyGrid):
+    late = stamped_late(tour, 0.4)
+    fit = fit_trajectory(late, office, start=tour.poses[0])
+    names = [one.name for one in fit.findings]
+    assert names[0] == "scan-delay"
+    assert "wheel-slip" not in names
+    assert "scan-delay" not in [one.name for one in fit_trajectory(tour, office, start=tour.poses[0]).findings]
+
+
+def test_no_scan_is_aligned_where_the_fitted_poses_show_no_delay(tour: SensorLog, monkeypatch: pytest.MonkeyPatch):
+    align = Mock(side_effect=AssertionError("aligned"))
+    monkeypatch.setattr("beamfield.localization.scan_delay.align", align)
+    assert scan_delay(replace(tour, odometry=tour.poses), tour.poses) is None
+
+
+def test_a_drive_that_is_not_found_for_its_stamps_is_said_to_have_them(
+    tour: SensorLog, office: OccupancyGrid, monkeypatch: pytest.MonkeyPatch
+):
+    refused = Mock(side_effect=TrajectoryNotFoundError("no trajectory through this map fits the log"))
+    monkeypatch.setattr("beamfield.localization.trajectory.choose_course", refused)
+    with pytest.raises(TrajectoryNotFoundError, match=r"fits the log\. The scans are stamped 0\.[34]\d s later than"):
+        fit_trajectory(stamped_late(tour, 0.4), office)
+    with pytest.raises(TrajectoryNotFoundError, match=r"fits the log$"):
+        fit_trajectory(tour, office)

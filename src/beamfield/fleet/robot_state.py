@@ -13,7 +13,9 @@ from beamfield.finding import Finding
 from beamfield.fleet.comparison import FEWEST_ROBOTS
 from beamfield.fleet.daily import FaultKind
 from beamfield.fleet.drift import FEWEST_DAYS, Drift
+from beamfield.fleet.pose_trust import doubts_in
 from beamfield.fleet.run_record import RunRecord
+from beamfield.fleet.run_warnings import run_warnings
 from beamfield.short_repr import short_repr
 
 Light = Literal["red", "amber", "green", "grey"]
@@ -55,7 +57,7 @@ class RobotState:
     robot, site
         Its name, and its site. Robots of one name at two sites are two robots.
     light
-        "red": a fault to see to now; "amber": one to watch, or many runs that cannot be used; "green": nothing found;
+        "red": a fault to see to now; "amber": one to watch, or runs that cannot be used; "green": nothing found;
         "grey": nothing could be tested, as no run could be used or days and robots are too few.
     findings
         Why, and what to do; the worst first.
@@ -85,9 +87,14 @@ def robot_states(records: Sequence[RunRecord], drifts: Sequence[Drift]) -> tuple
         tested = [d for d in drifts if (d.robot, d.site) == (robot, site)]
         alarms = sorted((d for d in tested if d.alarm), key=_urgency, reverse=True)
         others = [record for record in records if record.site == site and record.robot != robot]
-        findings = (*map(_fault, alarms), *_runs_left_out(mine, others), *([] if tested or not used else [_untested()]))
-        urgency = max(map(_urgency, alarms), default=0.0)
-        light: Light = "grey" if not tested else "red" if urgency >= 1.0 else "amber" if findings else "green"
+        faults = [(_urgency(alarm), _fault(alarm)) for alarm in alarms] + list(run_warnings(mine))
+        faults.sort(key=lambda fault: -fault[0])
+        urgency = max((each for each, _ in faults), default=0.0)
+        others_found = (*_runs_left_out(mine, others), *([] if tested or not used else [_untested()]))
+        findings = (*(finding for _, finding in faults), *others_found)
+        light: Light = "red" if urgency >= 1.0 else "amber" if faults or (tested and findings) else "green"
+        if not tested and not faults:
+            light = "grey"
         states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used))
     return tuple(sorted(states, key=lambda state: (LIGHTS.index(state.light), -state.urgency, state.robot, state.site)))
 
@@ -122,7 +129,12 @@ def _side(degrees: float) -> str:
 
 
 def _runs_left_out(mine: Sequence[RunRecord], others: Sequence[RunRecord]) -> Iterator[Finding]:
-    """Yield what to say of a robot that has no run, or more that cannot be used than the others at its site have."""
+    """Yield what to say of a robot that has no run, or more that cannot be used than the others at its site have.
+
+    Nothing if all of them are left out for their poses, of which `run_warnings` tells.
+    """
+    if all(record.is_used or doubts_in(record.findings) for record in mine):
+        return
     share = _share_left_out(mine)
     if share == 1.0 or (share >= MANY_LEFT_OUT and share > 2.0 * _share_left_out(others)):
         left_out, reason = _left_out(mine)

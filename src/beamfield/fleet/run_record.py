@@ -13,6 +13,7 @@ import numpy as np
 
 from beamfield.arguments import check_fields, require
 from beamfield.errors import FormatError
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.io.maps.map_image import MAX_PIXELS
 from beamfield.sensors import RangeFinder
@@ -148,6 +149,8 @@ class RunRecord:
         How many scans were used ("used"), and dropped by reason.
     left_out
         Readings of the scans used that are in no file, by reason.
+    findings
+        Warnings about its poses and its odometry.
     """
 
     run: str
@@ -174,6 +177,7 @@ class RunRecord:
     odometry_reason: str = ""
     selection: Mapping[str, int] = field(default_factory=dict)
     left_out: Mapping[str, int] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
     __repr__ = short_repr
 
@@ -242,6 +246,7 @@ def record_from_json(content: bytes, path: str, sensors: dict[str, Mapping[str, 
             given = values["odometry"]
             covariance = tuple(tuple(row) for row in given["covariance"])
             values["odometry"] = OdometryErrors(tuple(given["names"]), tuple(given["values"]), covariance)
+        values["findings"] = tuple(Finding(**one) for one in values["findings"])
         return RunRecord(**values)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise FormatError(path, f"expected the record of a run, got something else: {error}") from error

@@ -13,6 +13,7 @@ from beamfield.finding import Finding
 from beamfield.fleet.comparison import FEWEST_ROBOTS
 from beamfield.fleet.daily import FaultKind
 from beamfield.fleet.drift import FEWEST_DAYS, Drift
+from beamfield.fleet.made_tests import untested_of
 from beamfield.fleet.pose_trust import doubts_in
 from beamfield.fleet.run_record import RunRecord
 from beamfield.fleet.run_warnings import run_warnings
@@ -65,6 +66,8 @@ class RobotState:
         Largest fault in units of the size from which on it is red; robots are ranked by it.
     runs, left_out
         Runs used, and runs that could not be.
+    not_tested
+        The tests that could not be made of it, and the faults that nobody looked for; see `untested_of`.
     """
 
     robot: str
@@ -74,6 +77,7 @@ class RobotState:
     urgency: float
     runs: int
     left_out: int
+    not_tested: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
@@ -95,7 +99,7 @@ def robot_states(records: Sequence[RunRecord], drifts: Sequence[Drift]) -> tuple
         light: Light = "red" if urgency >= 1.0 else "amber" if faults or (tested and findings) else "green"
         if not tested and not faults:
             light = "grey"
-        states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used))
+        states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used, untested_of(tested)))
     return tuple(sorted(states, key=lambda state: (LIGHTS.index(state.light), -state.urgency, state.robot, state.site)))
 
 

@@ -205,6 +205,15 @@ def test_a_map_and_a_drift_of_one_day_are_not_tested(report):
     assert "No change was found" not in page
 
 
+def test_a_parameter_that_the_beams_hardly_determine_is_marked(report):
+    (whole,) = report.hierarchies
+    fleet = replace(whole.fleet, intervals={"sigma_hit": (0.00275, 9.28), "z_short": (0.05, 0.4),
+                                            "range_offset": (-1.0, 1.0)})  # fmt: skip
+    page = render_fleet_page(replace(report, hierarchies=(replace(whole, fleet=fleet, robots=()),)))
+    assert "[0.00275, 9.28], hardly determined" in page
+    assert page.count("hardly determined") == 1
+
+
 def test_numbers_below_the_axes_of_parameters_do_not_touch(report, monkeypatch):
     drawn = []
     monkeypatch.setattr(report_figures, "svg_panel", lambda figure, *_: drawn.append(figure))

@@ -15,6 +15,7 @@ from beamfield.report.escape import escaped
 from beamfield.report.page import document, figure, finding_list, table, verdict_box
 from beamfield.report.page_section import Level
 from beamfield.report.parameter_rows import with_unit
+from beamfield.report.verdict import VAGUE
 
 # Colours alone tell nothing to many readers: each light is named.
 LEVELS: Mapping[Light, Level | str] = {"red": "bad", "amber": "care", "green": "good", "grey": ""}
@@ -174,7 +175,10 @@ def _parameter_table(report: FleetReport) -> str:
 
 
 def _value(value: float, interval: tuple[float, float]) -> str:
-    return f"{value:.3g} [{interval[0]:.3g}, {interval[1]:.3g}]"
+    low, high = interval
+    # Of numbers that may have either sign the ratio of the ends says nothing.
+    vague = ", hardly determined" if low > 0.0 and high > VAGUE * low else ""
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]{vague}"
 
 
 def _shrunk(one: Pooled, name: str) -> str:

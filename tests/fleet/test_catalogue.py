@@ -121,6 +121,12 @@ def change_record(place: Path, **values: Any) -> Path:
         ({"files": [{"path": "../../etc/passwd", "day": "2026-11-02", "rows": 1, "size": 1}]}, "expected a file in"),
         ({"files": [{"path": "beams/../../x", "day": "2026-11-02", "rows": 1, "size": 1}]}, "expected a file in"),
         ({"files": [{"path": "beams/x", "day": "yesterday", "rows": 1, "size": 1}]}, "expected the record of a run"),
+        ({"findings": [{"name": "robot-lost"}]}, "expected the record of a run"),
+        ({"findings": [{"name": "robot-lost", "severity": "warning", "text": 3}]}, "text: expected a text, got 3"),
+        (
+            {"findings": [{"name": "a", "severity": "warning", "text": "b", "values": {"largest_m": "far"}}]},
+            "findings: expected finite numbers as values",
+        ),
         ({"map_info": 3}, "expected the record of a run"),
         ({"selection": {"used": float("nan")}}, "selection: expected counts"),
         (

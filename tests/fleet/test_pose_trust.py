@@ -12,7 +12,7 @@ from beamfield.calibration.reference_checks import pose_findings
 from beamfield.finding import Finding
 from beamfield.fleet.catalogue import open_catalogue
 from beamfield.fleet.engine import Engine
-from beamfield.fleet.pose_trust import DOUBTS, lost_finding
+from beamfield.fleet.pose_trust import DOUBTS, lost_finding, warnings_in
 from beamfield.fleet.robot_state import robot_states
 from beamfield.fleet.run_record import RunRecord, record_from_json
 from beamfield.fleet.scan import scan_fleet
@@ -172,6 +172,13 @@ def test_of_many_runs_the_worst_speaks_for_the_robot(run, world: Path):
 
 def left_out_of(record: RunRecord) -> RunRecord:
     return replace(record, run="none", status="left out", sensor={}, map_info=None, files=())
+
+
+def test_warnings_have_numbers_that_a_record_can_hold():
+    given = [Finding("a", "warning", "b", {"x": np.float64(1.0), "y": np.inf, "n": 2}), Finding("c", "info", "d")]
+    (kept,) = warnings_in(given)
+    assert kept.values == {"x": 1.0, "n": 2.0}
+    assert {type(value) for value in kept.values.values()} == {float}
 
 
 def test_calibrate_doubts_the_same():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,8 +40,12 @@ def pose_warnings(log: SensorLog, grid: OccupancyGrid, selection: Selection) -> 
 
 
 def warnings_in(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings that are more than worth knowing."""
-    return tuple(finding for finding in findings if finding.severity != "info")
+    """Return the findings that are more than worth knowing, with the numbers that a record can hold."""
+    return tuple(
+        replace(one, values={name: float(value) for name, value in one.values.items() if np.isfinite(value)})
+        for one in findings
+        if one.severity != "info"
+    )
 
 
 def doubts_in(findings: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -187,6 +187,10 @@ class RunRecord:
         require(0.0 <= self.share_trusted <= 1.0, "share_trusted", "a share", self.share_trusted)
         for name, counts in (("selection", self.selection), ("left_out", self.left_out)):
             require(all(type(n) is int and n >= 0 for n in counts.values()), name, "counts", counts)
+        for finding in self.findings:
+            check_fields(finding)
+            numbers = all(type(value) is float and np.isfinite(value) for value in finding.values.values())
+            require(numbers, "findings", "finite numbers as values", finding.values)
         require(self.is_used == bool(self.sensor), "sensor", "one of runs that are used", self.sensor)
         if self.is_used:
             _ = self.finder

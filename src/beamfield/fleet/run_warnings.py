@@ -54,4 +54,4 @@ def run_warnings(runs: Sequence[RunRecord]) -> Iterator[tuple[float, Finding]]:
 
 
 def _urgency(finding: Finding) -> float:
-    return finding.values["largest_m"] if finding.name == LOST else URGENCY[finding.name]
+    return finding.values.get("largest_m", 1.0) if finding.name == LOST else URGENCY[finding.name]

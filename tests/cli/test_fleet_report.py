@@ -29,7 +29,9 @@ def test_a_fleet_is_reported_from_raw_logs_and_the_same_when_asked_again(tmp_pat
     # Once more, elsewhere: nothing is scanned, and the same is said.
     other = ["--out", str(tmp_path / "other"), "--catalogue", str(report / "catalogue")]
     assert main([*words[:3], *other, *words[5:-1]]) == 0
-    assert ": not tested, which takes 2 days of runs" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert ": not tested, which takes 2 days of runs" in said
+    assert "tests  change over the days: 0 of 2 robots tested; it takes 4 days of runs" in said
     for path, (content, written) in first.items():
         name = path.relative_to(report)
         if name.parts[0] == "catalogue":

@@ -42,7 +42,7 @@ def rewritten(change: Callable[[Any], Any]) -> Callable[[Path], None]:
 
 
 def with_version(table: Any) -> Any:
-    return table.replace_schema_metadata({b"beamfield.schema": b"2"})
+    return table.replace_schema_metadata({b"beamfield.schema": b"3"})
 
 
 @pytest.mark.parametrize(
@@ -52,8 +52,8 @@ def with_version(table: Any) -> Any:
         (lambda file: file.write_bytes(b""), "damaged, or no Parquet"),
         (lambda file: file.write_bytes(file.read_bytes()[:-100]), "damaged, or no Parquet"),
         (lambda file: file.unlink(), "the run's record names this file, but it is not there"),
-        (rewritten(with_version), "expected beams of schema 1, got schema 2"),
-        (rewritten(lambda table: table.replace_schema_metadata({})), "expected beams of schema 1, got schema none"),
+        (rewritten(with_version), "expected beams of schema 2, got schema 3"),
+        (rewritten(lambda table: table.replace_schema_metadata({})), "expected beams of schema 2, got schema none"),
         (rewritten(lambda table: table.drop(["incidence"])), "the column 'incidence' is missing"),
         (rewritten(lambda table: table.slice(1)), "rows, as the run's record says, got"),
         (
@@ -87,7 +87,7 @@ def test_a_single_bit_that_is_wrong_is_found(place: Path, share: float):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b'{"schema": 2}', r"catalogue\.json: the catalogue has schema 2, this version of beamfield reads 1"),
+        (b'{"schema": 1}', r"catalogue\.json: the catalogue has schema 1, this version of beamfield reads 2"),
         (b"[]", r"catalogue\.json: expected the version"),
         (b"\x00\xff", r"catalogue\.json: expected the version"),
     ],
@@ -121,6 +121,12 @@ def change_record(place: Path, **values: Any) -> Path:
         ({"files": [{"path": "../../etc/passwd", "day": "2026-11-02", "rows": 1, "size": 1}]}, "expected a file in"),
         ({"files": [{"path": "beams/../../x", "day": "2026-11-02", "rows": 1, "size": 1}]}, "expected a file in"),
         ({"files": [{"path": "beams/x", "day": "yesterday", "rows": 1, "size": 1}]}, "expected the record of a run"),
+        ({"findings": [{"name": "robot-lost"}]}, "expected the record of a run"),
+        ({"findings": [{"name": "robot-lost", "severity": "warning", "text": 3}]}, "text: expected a text, got 3"),
+        (
+            {"findings": [{"name": "a", "severity": "warning", "text": "b", "values": {"largest_m": "far"}}]},
+            "findings: expected finite numbers as values",
+        ),
         ({"map_info": 3}, "expected the record of a run"),
         ({"selection": {"used": float("nan")}}, "selection: expected counts"),
         (

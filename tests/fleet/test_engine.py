@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from functools import partial
@@ -153,3 +154,36 @@ def test_a_scheduler_of_ones_own_is_asked_at_its_address():
         np.testing.assert_array_equal(engine.reduce(draw, list(range(300)), add), in_pairs(list(map(draw, range(300)))))
         assert engine.map(abs, [-1, -2, -2]) == [1, 2, 2]
         set_threads(None)
+
+
+INTERRUPTED = """
+import os, signal, threading, time
+import psutil
+from beamfield.fleet.engine import Engine
+
+def interrupt():
+    # As a terminal does, as soon as a worker begins to import.
+    while not any("spawn_main" in " ".join(one.cmdline()) for one in psutil.Process().children(recursive=True)):
+        time.sleep(0.005)
+    time.sleep(0.1)
+    os.killpg(0, signal.SIGINT)
+
+if __name__ == "__main__":
+    threading.Thread(target=interrupt, daemon=True).start()
+    try:
+        with Engine("processes", 1) as engine:
+            engine.map(time.sleep, [30.0])
+    except KeyboardInterrupt:
+        print("interrupted")
+    print("left", [one.pid for one in psutil.Process().children() if "spawn_main" in " ".join(one.cmdline())])
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="needs POSIX signals")
+def test_an_interrupt_while_workers_start_ends_them_without_their_tracebacks(tmp_path):
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED)
+    done = subprocess.run(
+        [sys.executable, tmp_path / "interrupted.py"], capture_output=True, text=True, start_new_session=True,
+        timeout=60, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\nleft []\n", "")

@@ -15,13 +15,15 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from beamfield.fleet import report_figures
-from beamfield.fleet.daily import DailySeries
+from beamfield.fleet.comparison import Difference
+from beamfield.fleet.daily import UNITS, DailySeries
 from beamfield.fleet.drift import Drift
 from beamfield.fleet.fleet_report import FleetReport
 from beamfield.fleet.hierarchy import Hierarchy, Pooled
 from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.report_figures import parameter_figure
 from beamfield.fleet.report_files import TABLES, report_as_dict, report_tables, write_fleet_report
+from beamfield.fleet.report_page import render_fleet_page
 from beamfield.fleet.robot_state import robot_states, site_findings
 from beamfield.fleet.run_record import MapInfo, RunRecord
 from beamfield.fleet.shard_passes import SensorLimits
@@ -154,6 +156,62 @@ def test_all_files_say_the_same(report, tmp_path):
             assert read.to_pylist() == [{column: row[column] for column in read.column_names} for row in rows]
     lights = pq.read_table(tmp_path / "robots.parquet").to_pylist()
     assert [(one["robot"], one["light"]) for one in lights] == [(one.robot, one.light) for one in report.states]
+
+
+def test_what_was_not_tested_is_said_of_each_robot_and_of_the_fleet(report, tmp_path):
+    assert {test.name: (test.made, test.of) for test in report.tests} == {
+        "change over the days": (5, 6), "comparison with other robots": (0, 6), "dirty lens": (1, 6),
+        "turned mount": (1, 6), "range bias": (3, 6), "wheel scale": (0, 6), "parameters": (0, 6), "maps": (1, 1),
+    }  # fmt: skip
+    states = {one.robot: one for one in report.states}
+    assert states["r3"].light == "green"
+    assert states["r3"].not_tested == ("comparison with other robots", "dirty lens", "turned mount", "wheel scale")
+    assert states["r5"].not_tested == ("change over the days", "comparison with other robots")
+    write_fleet_report(tmp_path, report)
+    page = (tmp_path / "fleet_report.html").read_text()
+    assert "1 robot: nothing found, but not everything was tested" in page
+    assert "comparison with other robots; dirty lens; turned mount; wheel scale" in page
+    assert "<td>5 of 6 robots</td><td>4 days of runs</td>" in page
+    assert [one["name"] for one in json.loads((tmp_path / "fleet_report.json").read_text())["tests"]][-1] == "maps"
+
+
+def test_without_a_fault_all_is_well_only_where_everything_was_tested(report):
+    compared = [replace(drift("r3", fault, 0.0, alarm=False), since=since)
+                for fault in UNITS for since in (None, DAYS[3])]  # fmt: skip
+    records = [record("r3", day) for day in range(6)]
+    differences = [Difference("r3", SITE, "sigma_hit", 0.1, 0.1, 0.0, 0.2, 0.5, 0.5, differs=False)]
+    well = replace(
+        report, records=tuple(records), drifts=tuple(compared), states=robot_states(records, compared),
+        stale_maps=(replace(report.stale_maps[0], places=()),), differences=tuple(differences), hierarchies=(),
+    )  # fmt: skip
+    assert "All well" in render_fleet_page(well)
+    for less in (
+        {"differences": ()},
+        {"drifts": tuple(one for one in compared if one.since)},
+        {"stale_maps": (replace(well.stale_maps[0], days=1),)},
+    ):
+        page = render_fleet_page(replace(well, **less))
+        assert "All well" not in page
+        assert "No robot shows a fault in what was tested. Not tested" in page
+
+
+def test_a_map_and_a_drift_of_one_day_are_not_tested(report):
+    one_day = replace(report.stale_maps[0], places=(), days=1)
+    series = tuple(replace(one, days=one.days[:3], values=one.values[:3]) for one in report.series)
+    page = render_fleet_page(replace(report, stale_maps=(one_day,), drifts=(), series=series))
+    assert "Not tested for places to map again: it takes 2 days of runs." in page
+    assert "Places to map again: 0" not in page
+    assert "Not tested: a change takes 4 days of runs." in page
+    assert "No change was found" not in page
+
+
+def test_a_parameter_that_the_beams_hardly_determine_is_marked(report):
+    (whole,) = report.hierarchies
+    fleet = replace(whole.fleet, intervals={"sigma_hit": (0.00275, 9.28), "z_short": (0.05, 0.4),
+                                            "range_offset": (-1.0, 1.0)})  # fmt: skip
+    page = render_fleet_page(replace(report, hierarchies=(replace(whole, fleet=fleet, robots=()),)))
+    assert "[0.00275, 9.28], hardly determined" in page
+    assert page.count("hardly determined") == 1
 
 
 def test_numbers_below_the_axes_of_parameters_do_not_touch(report, monkeypatch):

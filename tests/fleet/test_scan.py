@@ -99,7 +99,7 @@ def test_beams_end_in_the_cells_that_they_are_said_to_meet(scanned: FleetScan):
 def test_files_say_their_units_and_version_and_are_read_with_filters(scanned: FleetScan):
     (shard, *_) = scanned.catalogue.shards()
     schema = pq.read_schema(shard.folder.path(shard.path))
-    assert schema.metadata[b"beamfield.schema"] == b"1"
+    assert schema.metadata[b"beamfield.schema"] == b"2"
     assert schema.field("range").metadata[b"unit"] == b"m"
     # Runs of one sensor share it: thousands of records fit in memory.
     assert len({id(record.sensor) for record in scanned.catalogue.used}) == 1

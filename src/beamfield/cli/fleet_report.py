@@ -92,7 +92,9 @@ def _catalogue_or_manifest(arguments: argparse.Namespace) -> Catalogue | tuple[M
 
 
 def _summary(report: FleetReport) -> str:
-    """Return the traffic lights that are not green, the maps that are out of date, and how many runs are left out."""
+    """Return the lights that are not green, the maps that are out of date, what was not tested, and runs left out."""
+    from beamfield.fleet.made_tests import FEWEST_MAP_DAYS
+
     lines = [
         f"{state.light:<6s} {state.robot}: {' '.join(finding.text for finding in state.findings)}"
         for state in report.states
@@ -101,8 +103,11 @@ def _summary(report: FleetReport) -> str:
     lines.append(f"green  {sum(state.light == 'green' for state in report.states)} of {len(report.states)} robots")
     for stale in report.stale_maps:
         n = len(stale.lasting)
-        said = f"{n} place{'s' * (n != 1)} to map again" if stale.days > 1 else "not tested, which takes 2 days of runs"
+        said = f"{n} place{'s' * (n != 1)} to map again"
+        if stale.days < FEWEST_MAP_DAYS:
+            said = f"not tested, which takes {FEWEST_MAP_DAYS} days of runs"
         lines.append(f"map    {stale.site}: {said}")
+    lines += [f"tests  {test.sentence}" for test in report.tests if test.made < test.of and test.what != "map"]
     if left_out := sum(not record.is_used for record in report.records):
         lines.append(f"runs   {left_out} of {len(report.records)} left out; the page says why")
     return "\n".join(lines)

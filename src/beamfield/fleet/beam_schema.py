@@ -7,7 +7,7 @@ from typing import Any
 from beamfield.errors import MissingDependencyError
 
 # Raise it when columns change, or what is computed in them does: catalogues are then made anew.
-SCHEMA = 1
+SCHEMA = 2
 VERSION_KEY = b"beamfield.schema"
 # By name: the type, the unit and what it is.
 COLUMNS = {

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import logging
+import signal
 import socket
+import threading
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Any, Generic, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
@@ -76,11 +80,16 @@ class Engine:
         if scheduler == "serial":
             return
         distributed = _require_distributed()
-        if scheduler == "processes":
-            self.cluster = _local_cluster(distributed, workers or n_processors())
-        else:
+        if scheduler != "processes":
             _require_answer(scheduler)
-        self._client = distributed.Client(self.cluster or scheduler, set_as_default=False)
+        try:
+            with _interrupts_wait():
+                if scheduler == "processes":
+                    self.cluster = _local_cluster(distributed, workers or n_processors())
+                self._client = distributed.Client(self.cluster or scheduler, set_as_default=False)
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> Engine:
         return self
@@ -286,6 +295,33 @@ def _require_answer(scheduler: str) -> None:
         socket.create_connection((host, port), timeout=ANSWER_S).close()
     except OSError as error:
         raise OSError(error.errno, f"no Dask scheduler answers: {error.strerror or error}", f"{host}:{port}") from error
+
+
+@contextmanager
+def _interrupts_wait() -> Iterator[None]:
+    """Let Ctrl-C wait until the block has ended, and processes that are started there not see it at all.
+
+    A terminal sends it to all processes: those that were still importing printed a traceback each. They end when the
+    engine is closed.
+    """
+    # Windows has no mask; Python interrupts the main thread alone, and not where another program handles signals.
+    is_main = threading.current_thread() is threading.main_thread()
+    if not hasattr(signal, "pthread_sigmask") or not is_main or signal.getsignal(signal.SIGINT) is None:
+        yield
+        return
+    # Blocked for the processes, which inherit that; another thread of this one may still take the signal.
+    came: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    # Started with the first process otherwise, and lets interrupts through to the thread that did.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.signal(signal.SIGINT, handler)
+        if came:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _local_cluster(distributed: Any, workers: int) -> Any:

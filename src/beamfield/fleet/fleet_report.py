@@ -16,6 +16,7 @@ from beamfield.fleet.drift import Drift, find_drift
 from beamfield.fleet.engine import Engine
 from beamfield.fleet.hierarchy import Hierarchy, pool
 from beamfield.fleet.learning import FleetFit, learn
+from beamfield.fleet.made_tests import MadeTest, made_tests
 from beamfield.fleet.robot_state import RobotState, robot_states, site_findings
 from beamfield.fleet.run_findings import run_findings
 from beamfield.fleet.run_record import RunRecord
@@ -63,6 +64,12 @@ class FleetReport:
         """The drifts that count, those of the most urgent robots first."""
         order = [(state.robot, state.site) for state in self.states]
         return tuple(sorted((d for d in self.drifts if d.alarm), key=lambda d: order.index((d.robot, d.site))))
+
+    @property
+    def tests(self) -> tuple[MadeTest, ...]:
+        """Which tests the runs allowed, and of how many robots and maps."""
+        robots = [(state.robot, state.site) for state in self.states]
+        return made_tests(robots, self.drifts, self.differences, self.stale_maps)
 
     @property
     def sites(self) -> tuple[str, ...]:

@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
 from beamfield.fleet.daily import DailySeries, FaultKind
-from beamfield.fleet.drift import Drift
+from beamfield.fleet.drift import FEWEST_DAYS, Drift
 from beamfield.fleet.hierarchy import Hierarchy, Pooled
 from beamfield.fleet.learning import FleetFit
+from beamfield.fleet.made_tests import FEWEST_MAP_DAYS
 from beamfield.fleet.robot_state import RobotState
 from beamfield.fleet.stale_map import StaleMap
 from beamfield.models.beam_parameters import BeamParameters
@@ -64,6 +65,8 @@ def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> Repo
         f"line is the day since when it has changed; without one, it was so from the first day on.{more}"
         if panels
         else "No change was found."
+        if any(len(one.days) >= 2 * FEWEST_DAYS for one in series)
+        else f"Not tested: a change takes {2 * FEWEST_DAYS} days of runs."
     )
     return ReportFigure("drift", "Drift over the days", tuple(panels), caption, "")
 
@@ -212,8 +215,11 @@ def _rows(stale: StaleMap) -> list[tuple[str, ...]]:
 def _caption(stale: StaleMap) -> str:
     left_out = f" Not asked: {', '.join(stale.not_asked)}, who see differences everywhere." if stale.not_asked else ""
     more = len(stale.lasting) - MOST_PLACES
+    places = f"Places to map again: {len(stale.lasting)}."
+    if stale.days < FEWEST_MAP_DAYS:
+        places = f"Not tested for places to map again: it takes {FEWEST_MAP_DAYS} days of runs."
     return (
-        f"Places to map again: {len(stale.lasting)}. Squares of {stale.side:g} m, coloured by the share of "
+        f"{places} Squares of {stale.side:g} m, coloured by the share of "
         f"beams that disagree with the map, from {LEAST_SHOWN:.0%} on. Runs: {stale.runs}, robots: {stale.robots}, "
         f"days: {stale.days}. Outlined and numbered: places to map again, which differ in at least half of the runs "
         "since the day named, for two robots and on two days at least. Chance: that people and doors alone make so "

@@ -24,7 +24,7 @@ PAGE, JSON_FILE, SCHEMA = "fleet_report.html", "fleet_report.json", "beamfield-f
 
 # Columns of the tables; SI units.
 TABLES = {
-    "robots": "robot site light urgency runs left_out why do",
+    "robots": "robot site light urgency runs left_out why do not_tested",
     "faults": "robot site fault since size low high before after unit from_bearing to_bearing cause p_value q_value "
               "alarm",
     "series": "robot site fault cause unit from_bearing to_bearing day value standard_error contrast",
@@ -87,6 +87,7 @@ def report_as_dict(report: FleetReport) -> dict[str, Any]:
         "program": f"beamfield {__version__}",
         "days": plain(report.days),
         "sites": plain(report.sites),
+        "tests": plain(report.tests),
         "robots": plain(report.states),
         "faults": [plain(drift) for drift in report.alarms],
         "parameters": plain(report.hierarchies),
@@ -115,7 +116,8 @@ def report_tables(report: FleetReport) -> dict[str, list[dict[str, Any]]]:
     ]
     rows: dict[str, list[dict[str, Any]]] = {
         "robots": [
-            _row("robots", one, why=" ".join(f.text for f in one.findings), do=" ".join(f.do for f in one.findings))
+            _row("robots", one, why=" ".join(f.text for f in one.findings), do=" ".join(f.do for f in one.findings),
+                 not_tested="; ".join(one.not_tested))
             for one in report.states
         ],
         "faults": [_row("faults", one, **_sector(one.bearings)) for one in report.drifts],

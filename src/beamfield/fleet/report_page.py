@@ -15,6 +15,7 @@ from beamfield.report.escape import escaped
 from beamfield.report.page import document, figure, finding_list, table, verdict_box
 from beamfield.report.page_section import Level
 from beamfield.report.parameter_rows import with_unit
+from beamfield.report.verdict import VAGUE
 
 # Colours alone tell nothing to many readers: each light is named.
 LEVELS: Mapping[Light, Level | str] = {"red": "bad", "amber": "care", "green": "good", "grey": ""}
@@ -23,7 +24,8 @@ MOST_LEFT_OUT = 50
 ONE_LINE, WIDE = 'style="white-space: nowrap"', 'style="min-width: 15rem"'
 KEY = (
     "Red: a fault to see to now. Amber: one to watch, or many runs that cannot be used. Green: nothing was found in "
-    "the days that the report covers. Grey: nothing could be tested. Robots are listed by urgency."
+    "the days that the report covers, by the tests that could be made. Grey: nothing could be tested. "
+    "Robots are listed by urgency."
 )
 OWN = (
     "Robots listed here differ from the others in these parameters by more than chance and the usual spread explain, "
@@ -38,13 +40,15 @@ def render_fleet_page(report: FleetReport) -> str:
     maps = [stale_figure(stale) for stale in report.stale_maps]
     title = f"Fleet report: {_count(report.states, 'robot')} at {_count(report.sites, 'site')}"
     contents = [
-        ("robots", "Robots"), ("drift", "Drift"), ("maps", "Maps"), ("parameters", "Parameters"), ("runs", "Runs"),
+        ("robots", "Robots"), ("tests", "Tests"), ("drift", "Drift"), ("maps", "Maps"), ("parameters", "Parameters"),
+        ("runs", "Runs"),
     ]  # fmt: skip
     main = [
         f'<h1>{escaped(title)}</h1>\n<p class="facts">{_facts(report)}</p>',
         verdict_box(*_verdict(report)),
         f'<p class="key">{escaped(KEY)}</p>',
         f'<h2 id="robots">Robots</h2>\n{_lights(report.states)}',
+        f'<h2 id="tests">Tests</h2>\n{_tests(report)}',
         figure(drift).replace("<h3>", "<h2>").replace("</h3>", "</h2>"),
         '<h2 id="maps">Maps</h2>',
         *(map(figure, maps) if maps else ["<p>No laser's beams tell about a map.</p>"]),
@@ -87,6 +91,11 @@ def _verdict(report: FleetReport) -> tuple[Level, str, str]:
         sentences.append(f"Of {_count(range(lights['grey']), 'robot')} nothing is known yet.")
     if report.findings:
         sentences.append("Read what is said about runs, at the end.")
+    untested = [test.name for test in report.tests if test.made < test.of]
+    if untested:
+        sentences.append(f"Not tested, or not of all robots and maps: {', '.join(untested)}.")
+        if len(sentences) == 1:
+            return "care", f"No robot shows a fault in what was tested. {sentences[0]}", "Not all was tested"
     if not sentences:
         return "good", "No robot shows a fault, and the maps are as the robots see them.", "All well"
     level: Level = "bad" if lights["red"] else "care"
@@ -96,8 +105,11 @@ def _verdict(report: FleetReport) -> tuple[Level, str, str]:
 def _lights(states: Iterable[RobotState]) -> str:
     """All robots but the green ones, with what to do; those are folded away."""
     others = [state for state in states if state.light != "green"]
-    green = [(state.robot, state.site, f"{state.runs} of {state.runs + state.left_out}") for state in states
-             if state.light == "green"]  # fmt: skip
+    green = [
+        (state.robot, state.site, "; ".join(state.not_tested) or "-", f"{state.runs} of {state.runs + state.left_out}")
+        for state in states
+        if state.light == "green"
+    ]
     parts = []
     if others:
         names = ("", "robot", "site", "what was found", "what to do", "runs used")
@@ -105,10 +117,17 @@ def _lights(states: Iterable[RobotState]) -> str:
         body = "\n".join(map(_light, others))
         parts.append(f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table></div>')
     if green:
-        listed = table(("robot", "site", "runs used"), green, right=(2,))
-        head = f'<b class="label">Green</b> {_count(green, "robot")}: nothing found'
+        listed = table(("robot", "site", "not tested", "runs used"), green, right=(3,))
+        missing = ", but not everything was tested" if any(row[2] != "-" for row in green) else ""
+        head = f'<b class="label">Green</b> {_count(green, "robot")}: nothing found{missing}'
         parts.append(f'<details><summary><span class="good">{head}</span></summary>{listed}</details>')
     return "\n".join(parts)
+
+
+def _tests(report: FleetReport) -> str:
+    rows = [(test.name, f"{test.made} of {test.of} {test.what}{'s' * (test.of != 1)}", test.takes)
+            for test in report.tests]  # fmt: skip
+    return table(("test", "made of", "it takes"), rows)
 
 
 def _light(state: RobotState) -> str:
@@ -118,6 +137,8 @@ def _light(state: RobotState) -> str:
         " ".join([*(escaped(one.text) for one in state.findings if one.name == name), escaped(kind.why)])
         for name, kind in reversed(kinds.items())
     )
+    if state.not_tested and state.light != "grey":
+        found += f"<br>Not tested: {escaped('; '.join(state.not_tested))}."
     do = "<br>".join(escaped(one.do) for one in reversed(kinds.values()))
     used = f"{state.runs} of {state.runs + state.left_out}"
     return (
@@ -154,7 +175,10 @@ def _parameter_table(report: FleetReport) -> str:
 
 
 def _value(value: float, interval: tuple[float, float]) -> str:
-    return f"{value:.3g} [{interval[0]:.3g}, {interval[1]:.3g}]"
+    low, high = interval
+    # Of numbers that may have either sign the ratio of the ends says nothing.
+    vague = ", hardly determined" if low > 0.0 and high > VAGUE * low else ""
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]{vague}"
 
 
 def _shrunk(one: Pooled, name: str) -> str:

@@ -13,7 +13,10 @@ from beamfield.finding import Finding
 from beamfield.fleet.comparison import FEWEST_ROBOTS
 from beamfield.fleet.daily import FaultKind
 from beamfield.fleet.drift import FEWEST_DAYS, Drift
+from beamfield.fleet.made_tests import untested_of
+from beamfield.fleet.pose_trust import doubts_in
 from beamfield.fleet.run_record import RunRecord
+from beamfield.fleet.run_warnings import run_warnings
 from beamfield.short_repr import short_repr
 
 Light = Literal["red", "amber", "green", "grey"]
@@ -55,7 +58,7 @@ class RobotState:
     robot, site
         Its name, and its site. Robots of one name at two sites are two robots.
     light
-        "red": a fault to see to now; "amber": one to watch, or many runs that cannot be used; "green": nothing found;
+        "red": a fault to see to now; "amber": one to watch, or runs that cannot be used; "green": nothing found;
         "grey": nothing could be tested, as no run could be used or days and robots are too few.
     findings
         Why, and what to do; the worst first.
@@ -63,6 +66,8 @@ class RobotState:
         Largest fault in units of the size from which on it is red; robots are ranked by it.
     runs, left_out
         Runs used, and runs that could not be.
+    not_tested
+        The tests that could not be made of it, and the faults that nobody looked for; see `untested_of`.
     """
 
     robot: str
@@ -72,6 +77,7 @@ class RobotState:
     urgency: float
     runs: int
     left_out: int
+    not_tested: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
@@ -85,10 +91,15 @@ def robot_states(records: Sequence[RunRecord], drifts: Sequence[Drift]) -> tuple
         tested = [d for d in drifts if (d.robot, d.site) == (robot, site)]
         alarms = sorted((d for d in tested if d.alarm), key=_urgency, reverse=True)
         others = [record for record in records if record.site == site and record.robot != robot]
-        findings = (*map(_fault, alarms), *_runs_left_out(mine, others), *([] if tested or not used else [_untested()]))
-        urgency = max(map(_urgency, alarms), default=0.0)
-        light: Light = "grey" if not tested else "red" if urgency >= 1.0 else "amber" if findings else "green"
-        states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used))
+        faults = [(_urgency(alarm), _fault(alarm)) for alarm in alarms] + list(run_warnings(mine))
+        faults.sort(key=lambda fault: -fault[0])
+        urgency = max((each for each, _ in faults), default=0.0)
+        others_found = (*_runs_left_out(mine, others), *([] if tested or not used else [_untested()]))
+        findings = (*(finding for _, finding in faults), *others_found)
+        light: Light = "red" if urgency >= 1.0 else "amber" if faults or (tested and findings) else "green"
+        if not tested and not faults:
+            light = "grey"
+        states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used, untested_of(tested)))
     return tuple(sorted(states, key=lambda state: (LIGHTS.index(state.light), -state.urgency, state.robot, state.site)))
 
 
@@ -122,7 +133,12 @@ def _side(degrees: float) -> str:
 
 
 def _runs_left_out(mine: Sequence[RunRecord], others: Sequence[RunRecord]) -> Iterator[Finding]:
-    """Yield what to say of a robot that has no run, or more that cannot be used than the others at its site have."""
+    """Yield what to say of a robot that has no run, or more that cannot be used than the others at its site have.
+
+    Nothing if all of them are left out for their poses, of which `run_warnings` tells.
+    """
+    if all(record.is_used or doubts_in(record.findings) for record in mine):
+        return
     share = _share_left_out(mine)
     if share == 1.0 or (share >= MANY_LEFT_OUT and share > 2.0 * _share_left_out(others)):
         left_out, reason = _left_out(mine)

@@ -13,6 +13,7 @@ import numpy as np
 
 from beamfield.arguments import check_fields, require
 from beamfield.errors import FormatError
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.io.maps.map_image import MAX_PIXELS
 from beamfield.sensors import RangeFinder
@@ -148,6 +149,8 @@ class RunRecord:
         How many scans were used ("used"), and dropped by reason.
     left_out
         Readings of the scans used that are in no file, by reason.
+    findings
+        Warnings about its poses and its odometry.
     """
 
     run: str
@@ -174,6 +177,7 @@ class RunRecord:
     odometry_reason: str = ""
     selection: Mapping[str, int] = field(default_factory=dict)
     left_out: Mapping[str, int] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
     __repr__ = short_repr
 
@@ -183,6 +187,10 @@ class RunRecord:
         require(0.0 <= self.share_trusted <= 1.0, "share_trusted", "a share", self.share_trusted)
         for name, counts in (("selection", self.selection), ("left_out", self.left_out)):
             require(all(type(n) is int and n >= 0 for n in counts.values()), name, "counts", counts)
+        for finding in self.findings:
+            check_fields(finding)
+            numbers = all(type(value) is float and np.isfinite(value) for value in finding.values.values())
+            require(numbers, "findings", "finite numbers as values", finding.values)
         require(self.is_used == bool(self.sensor), "sensor", "one of runs that are used", self.sensor)
         if self.is_used:
             _ = self.finder
@@ -242,6 +250,7 @@ def record_from_json(content: bytes, path: str, sensors: dict[str, Mapping[str, 
             given = values["odometry"]
             covariance = tuple(tuple(row) for row in given["covariance"])
             values["odometry"] = OdometryErrors(tuple(given["names"]), tuple(given["values"]), covariance)
+        values["findings"] = tuple(Finding(**one) for one in values["findings"])
         return RunRecord(**values)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise FormatError(path, f"expected the record of a run, got something else: {error}") from error

@@ -67,6 +67,8 @@ def scan_run(job: ScanJob) -> RunRecord:
             key = job.content.key if isinstance(error, BeamfieldError) else ""
             reason = reason_of(error, job, files) or "too little memory"
             return write_record(job, replace(left_out(job, reason), key=key))
+        if run.doubt:
+            return write_record(job, replace(left_out(job, run.doubt), findings=run.findings))
         return write_record(job, _cast(job, run))
 
 
@@ -140,6 +142,7 @@ def _cast(job: ScanJob, run: PosedRun) -> RunRecord:
         odometry_reason=why,
         selection={"used": len(used), **run.selection.dropped},
         left_out=rows.left_out,
+        findings=run.findings,
     )
 
 

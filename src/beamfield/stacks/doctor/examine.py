@@ -37,7 +37,6 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     value_checks.foreign_names,
     beam_checks.many_beams_in_product,
     weight_checks.unused_weights,
-    value_checks.old_motion_name,
     value_checks.loaded_elsewhere,
     value_checks.stack_guess,
     calibrated,

@@ -11,7 +11,6 @@ from beamfield.finding import Finding
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.doctor.subject import Subject
 from beamfield.stacks.files.typed_values import MOST, Unusable, typed_fields
-from beamfield.stacks.nav2.motion import OLD_NAMES
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.stack import Stack, counterpart
 from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry
@@ -60,17 +59,6 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
                 else subject.stack.wrong_type,
                 "write a value of the right type", own=name,
             )  # fmt: skip
-
-
-def old_motion_name(subject: Subject) -> Iterator[Finding]:
-    """Find a motion model by a name that nav2 no longer knows."""
-    entry = subject.file.section.entries.get("robot_model_type") if subject.stack.name == "nav2" else None
-    if entry is not None and entry.value in OLD_NAMES:
-        yield subject.finding(
-            "old-motion-name", "warning", f"robot_model_type is {entry.value!r}, as before Humble",
-            "since Humble it is the name of a plugin, and there is none of this name: the node does not start",
-            f'write "{OLD_NAMES[entry.value]}", unless the robot runs Galactic or older', own="robot_model_type",
-        )  # fmt: skip
 
 
 def loaded_elsewhere(subject: Subject) -> Iterator[Finding]:

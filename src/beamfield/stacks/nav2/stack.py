@@ -12,12 +12,15 @@ from beamfield.stacks.amcl.parameters import ROS_1_NAMES
 from beamfield.stacks.amcl.stack import amcl_stack
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
-from beamfield.stacks.nav2.motion import DIFFERENTIAL, OMNI, Nav2Motion
+from beamfield.stacks.nav2.motion import DIFFERENTIAL, OLD_NAMES, OMNI, Nav2Motion
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.stack import SURE, StackFilter
 from beamfield.stacks.syntax.parameter_text import ParameterSection
 
 PACKAGE = "nav2_amcl"
+
+
+_MOTIONS = {DIFFERENTIAL: differential_alphas, OMNI: omni_alphas}
 
 
 def _likeness(section: ParameterSection) -> float:
@@ -40,6 +43,17 @@ def uninitialised_queue(subject: Any) -> Iterator[Finding]:
         )  # fmt: skip
 
 
+def old_motion_name(subject: Any) -> Iterator[Finding]:
+    """Find a motion model by a name that nav2 no longer knows."""
+    entry = subject.file.section.entries.get("robot_model_type")
+    if entry is not None and entry.value in OLD_NAMES:
+        yield subject.finding(
+            "old-motion-name", "warning", f"robot_model_type is {entry.value!r}, as before Humble",
+            "since Humble it is the name of a plugin, and there is none of this name: the node does not start",
+            f'write "{OLD_NAMES[entry.value]}", unless the robot runs Galactic or older', own="robot_model_type",
+        )  # fmt: skip
+
+
 NAV2 = amcl_stack(
     "nav2",
     "nav2",
@@ -57,9 +71,6 @@ NAV2 = amcl_stack(
     is_typed=True,
     filter=StackFilter(motion=Nav2Motion, parameters=AmclFilterParameters, build=amcl_filter),
     motion_key="robot_model_type",
-    motions={
-        DIFFERENTIAL: differential_alphas, OMNI: omni_alphas, "differential": differential_alphas,
-        "omnidirectional": omni_alphas,
-    },
-    checks=(uninitialised_queue,),
+    motions=_MOTIONS | {old: _MOTIONS[new] for old, new in OLD_NAMES.items()},
+    checks=(uninitialised_queue, old_motion_name),
 )  # fmt: skip

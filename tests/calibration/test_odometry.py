@@ -268,6 +268,15 @@ def test_mean_and_covariance_of_a_window_are_those_of_its_draws(model):
     np.testing.assert_allclose(computed / scale, seen / scale, atol=0.06)
 
 
+def test_a_robot_that_turns_on_the_spot_gets_no_less_far():
+    # Wheels that slip a little move it by less than a hair, in directions that say nothing.
+    rng = np.random.default_rng(9)
+    steps = np.column_stack([1e-9 * rng.standard_normal((20, 2)), np.full(20, 0.3)])
+    odometry = chained(steps)
+    windows = cut_odometry_windows(odometry, odometry, np.zeros((21, 3, 3)), np.arange(21), 8)
+    assert np.abs(windows.shortening(DifferentialMotion(1.0, 1.0, 1.0, 1.0))).max() < 1e-6
+
+
 def test_the_reference_at_both_ends_of_a_window_counts():
     rng = np.random.default_rng(9)
     poses = chained(drive(rng, 20))

@@ -71,7 +71,8 @@ class OdometryWindows:
         squares = np.square(moved).sum(axis=1)
         sideways = np.stack([-moved[:, 1], moved[:, 0]], axis=1)
         aside = np.einsum("si,sij,sj->s", sideways, covariances[:, :2, :2], sideways)
-        direction = np.divide(aside, squares**2, out=np.zeros(len(aside)), where=squares > 0.0)
+        # A step of next to no length has no direction.
+        direction = np.minimum(aside, np.pi**2 * squares**2) / np.maximum(squares**2, 1e-300)
         start, total, heading = self.odometry[self.first], np.zeros((len(self), 3)), np.zeros(len(self))
         before = between(start, start)
         for j in range(self.length):

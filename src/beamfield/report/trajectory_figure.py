@@ -15,7 +15,7 @@ from beamfield.plot import CHI_SQUARE_95, PATH_COLOUR, draw_map
 from beamfield.sensors import SensorLog
 
 NOT_TRUSTED = "#D55E00"
-SCANS = "#56B4E9"
+SCANS, OWN_POSES = "#56B4E9", "#CC79A7"
 # Ellipses are drawn this far apart, share of the path, and so many times larger, so that centimetres can be seen.
 ELLIPSES, MAGNIFIED = 25, 10.0
 MOST_POINTS = 40_000
@@ -23,7 +23,7 @@ MARGIN = 1.5
 
 
 def draw_fit(fit: TrajectoryFit, log: SensorLog, grid: OccupancyGrid, title: str) -> Figure:
-    """Draw the map, the scans' end points, the path, and what it is worth."""
+    """Draw the map, the scans' end points, the path and the log's own poses, and what the path is worth."""
     points = _points(fit, log)
     seen = np.concatenate([points, fit.poses[:, :2]])
     low, high = np.quantile(seen, 0.002, axis=0) - MARGIN, np.quantile(seen, 0.998, axis=0) + MARGIN
@@ -32,6 +32,8 @@ def draw_fit(fit: TrajectoryFit, log: SensorLog, grid: OccupancyGrid, title: str
     figure = Figure(figsize=(max(6.0, width * size), max(3.5, height * size) + 3.4), layout="constrained")
     above, below = figure.subplots(2, 1, height_ratios=(max(3.5, height * size), 2.2))
     _draw_path(fit, points, draw_map(grid, above))
+    if log.has_poses:
+        above.plot(*log.poses[:, :2].T, color=OWN_POSES, lw=1.2, label="the log's own poses", zorder=3)
     above.set_xlim(low[0], high[0])
     above.set_ylim(low[1], high[1])
     above.set_title(title, fontsize=11)

@@ -15,6 +15,7 @@ from beamfield.stacks.doctor.subject import MapFile
 from beamfield.stacks.files.calibration_record import record_text, with_record
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.nav2.parameters import Nav2Parameters
+from tests.calibration.test_odometry import amcl_log
 from tests.pillar_hall import drive, hall
 
 N_BEAMS = 120
@@ -119,6 +120,14 @@ RECORDED = with_record(
 )  # fmt: skip
 
 
+def alphas(value):
+    """Return parameters of a motion model with this noise, at every step of `DRIVE`."""
+    return {**{f"alpha{i}": value for i in range(1, 5)}, "update_min_d": 0.01, "update_min_a": 0.01}
+
+
+# 400 steps whose odometry errs with all alphas 0.03.
+DRIVE = amcl_log((0.03,) * 4, 1, n=400)
+
 # name, keywords for the file, map and log that trigger it, and what to change so that they do not.
 FINDINGS = {
     "not-finite": ({"z_rand": ".inf"}, {}, {"z_rand": 0.5}, {}),
@@ -127,6 +136,13 @@ FINDINGS = {
     "wrong-type of count": ({"max_beams": 59.5}, {}, {"max_beams": 59}, {}),
     "out-of-range": ({"sigma_hit": -0.1}, {}, {"sigma_hit": 0.1}, {}),
     "filled-in-at-start": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
+    "motion-noise-wide": (alphas(0.9), {"log": DRIVE}, alphas(0.03), {"log": DRIVE}),
+    "motion-noise-narrow": (alphas(0.001), {"log": DRIVE}, alphas(0.03), {"log": DRIVE}),
+    "no-motion-noise": (alphas(0.0), {}, alphas(0.001), {}),
+    "updates-far-apart": ({"update_min_d": 1.5}, {}, {"update_min_d": 0.9}, {}),
+    "updates-far-apart in angle": ({"update_min_a": 1.1}, {}, {"update_min_a": 1.0}, {}),
+    "particles-reversed": ({"min_particles": 500, "max_particles": 100}, {},
+                           {"min_particles": 100, "max_particles": 500}, {}),
     "old-motion-name": ({"robot_model_type": '"differential"'}, {},
                         {"robot_model_type": '"nav2_amcl::DifferentialMotionModel"'}, {}),
     "loaded-elsewhere": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),

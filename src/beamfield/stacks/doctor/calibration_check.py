@@ -11,7 +11,7 @@ from beamfield.stacks.files.calibration_record import is_as_calibrated
 # What calibration weighed against its effect on the posterior, on windows of a log held out.
 SETTLED = frozenset(
     ("nearly-flat", "absurdly-sharp", "weights-sum", "sigma-huge", "sigma-below-resolution", "distance-limit",
-     "many-beams-in-product", "few-usable-beams")
+     "many-beams-in-product", "few-usable-beams", "motion-noise-wide")
 )  # fmt: skip
 
 

@@ -7,7 +7,15 @@ from collections.abc import Callable, Iterator
 from beamfield.finding import Finding, worst_first
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
-from beamfield.stacks.doctor import beam_checks, map_checks, range_checks, sharpness, value_checks, weight_checks
+from beamfield.stacks.doctor import (
+    beam_checks,
+    map_checks,
+    motion_checks,
+    range_checks,
+    sharpness,
+    value_checks,
+    weight_checks,
+)
 from beamfield.stacks.doctor.calibration_check import SETTLED, calibrated, is_calibrated
 from beamfield.stacks.doctor.subject import MapFile, Subject
 from beamfield.stacks.files.parameter_file import StackFile
@@ -37,6 +45,9 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     value_checks.foreign_names,
     beam_checks.many_beams_in_product,
     weight_checks.unused_weights,
+    motion_checks.no_motion_noise,
+    motion_checks.motion_noise,
+    motion_checks.updates_and_particles,
     value_checks.loaded_elsewhere,
     value_checks.stack_guess,
     calibrated,

@@ -1,0 +1,130 @@
+"""Whether the motion noise, the updates and the number of particles suit the robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from beamfield.errors import FormatError, TooLittleDataError
+from beamfield.finding import Finding
+from beamfield.models.motion import OdometryMotion
+from beamfield.stacks.doctor.subject import Subject
+from beamfield.stacks.files.filter_file import FilterSettings, read_filter_settings
+
+# Of the variances that the log shows to those that the file says. Noise four times too large costs little, but five
+# times too small it loses robots.
+NARROW, WIDE = 4.0, 0.1
+ANY_STEP = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]])
+# Beyond this the log does not show how much too wide the noise is.
+MOST_TIMES = 20.0
+# A robot drives and turns so far between updates at most, metres and radians, with the programs' usual values.
+FAR, FAR_TURN = 1.0, math.radians(60.0)
+
+
+def motion_noise(subject: Subject) -> Iterator[Finding]:
+    """Compare the motion model's noise with what the log's odometry shows, at the filter's own updates."""
+    from beamfield.calibration.odometry.learning import calibrate_odometry
+    from beamfield.calibration.odometry.noise_fit import fit_levels
+    from beamfield.calibration.odometry.result import OdometryOptions
+
+    settings, log = _settings(subject), subject.log
+    if settings is None or log is None or not (log.has_odometry and log.has_poses):
+        return
+    convert, formula = _conversion(subject, settings), _formula(settings)
+    if convert is None or formula is None:
+        return
+    min_distance, min_turn = settings.update_distances
+    try:
+        learned = calibrate_odometry(
+            settings.at_ticks(log), OdometryOptions(update_min_d=min_distance, update_min_a=min_turn)
+        )
+    except TooLittleDataError:
+        return
+    windows, kept = learned.windows, learned.is_noise
+    unit = windows.covariance(formula)[kept]
+    if not unit.any():
+        return
+    level = float(fit_levels(windows.residuals[kept], windows.reference[kept], unit[None])[0])
+    advised = convert(learned)
+    values = ", ".join(f"{subject.file.name_in_file(name)} = {value:g}" for name, value in advised.items())
+    do = f"try {values} in beamfield evaluate, or let beamfield calibrate --stack choose by replay"
+    own = subject.file.name_in_file(next(iter(advised)))
+    if level < WIDE:
+        times = min(1.0 / math.sqrt(level), MOST_TIMES)
+        more = " or more" if times == MOST_TIMES else ""
+        yield subject.finding(
+            "motion-noise-wide", "info",
+            f"the motion noise is {times:.0f} times{more} as wide as this log's odometry errs (standard deviations)",
+            "particles are spread by more than the scans gather again: less accurate, and lost where places look alike",
+            do, own=own, values={"times": times, **advised},
+        )  # fmt: skip
+    elif level > NARROW:
+        times = math.sqrt(level)
+        yield subject.finding(
+            "motion-noise-narrow", "warning",
+            f"this log's odometry errs {times:.1f} times as much as the motion noise says (standard deviations)",
+            "no particle goes where the robot went: the filter loses it after a slip or a turn",
+            do, own=own, values={"times": times, **advised},
+        )  # fmt: skip
+
+
+def no_motion_noise(subject: Subject) -> Iterator[Finding]:
+    """Find a motion model without any noise."""
+    settings = _settings(subject)
+    formula = None if settings is None else _formula(settings)
+    if formula is not None and not formula.step(ANY_STEP).covariance().any():
+        own = next((name for name in subject.file.section.entries if "alpha" in name), "alpha1")
+        yield subject.finding(
+            "no-motion-noise", "warning", f"{own} and the others of the motion model are 0",
+            "all particles move alike: after the first update no scan can correct the odometry",
+            "give the motion model some noise: beamfield calibrate --odometry-noise says how much", own=own,
+        )  # fmt: skip
+
+
+def updates_and_particles(subject: Subject) -> Iterator[Finding]:
+    """Find updates that are far apart, and fewer particles at most than at least."""
+    settings = _settings(subject)
+    if settings is None:
+        return
+    distance, turn = settings.update_distances
+    for name, value, most, text in (
+        ("update_min_d", distance, FAR, f"{distance:g} m"),
+        ("update_min_a", turn, FAR_TURN, f"{math.degrees(turn):.0f} degrees"),
+    ):
+        if value > most:
+            own = subject.file.name_in_file(name)
+            yield subject.finding(
+                "updates-far-apart", "warning", f"{own} is {text}: scans in between are not used",
+                "the odometry's error grows unseen from one update to the next, and with it the cloud",
+                "the usual values are 0.2 m and 10 to 30 degrees", own=own, values={name: value},
+            )  # fmt: skip
+    least, most_ = (getattr(settings.particles, name, None) for name in ("min_particles", "max_particles"))
+    if least is not None and most_ is not None and most_ < least:
+        own = subject.file.name_in_file("max_particles")
+        yield subject.finding(
+            "particles-reversed", "warning", f"{own} is {most_}, fewer than min_particles, {least}",
+            "the number of particles is then not what either says",
+            "set max_particles to no less than min_particles", own=own,
+            values={"min_particles": float(least), "max_particles": float(most_)},
+        )  # fmt: skip
+
+
+def _settings(subject: Subject) -> FilterSettings | None:
+    """Return what the file says about the filter; None if a value cannot be used or the filter is not emulated."""
+    try:
+        return read_filter_settings(subject.file)
+    except FormatError:
+        return None
+
+
+def _formula(settings: FilterSettings) -> OdometryMotion | None:
+    """Return the motion model that the program runs; None if its noise is not that of the step alone."""
+    formula = getattr(settings.motion, "formula", settings.motion)
+    return formula if isinstance(formula, OdometryMotion) else None
+
+
+def _conversion(subject: Subject, settings: FilterSettings) -> Any:
+    return subject.stack.motion_from(getattr(settings.motion, subject.stack.motion_key, None))

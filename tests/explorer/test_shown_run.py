@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 
 from beamfield.errors import FormatError
 from beamfield.explorer.open_session import open_session
-from beamfield.explorer.shown_run import AGREEMENT, ERROR, read_shown_run
+from beamfield.explorer.shown_run import AGREEMENT, ERROR, own_poses_as_run, read_shown_run
+from beamfield.finding import Finding
 from beamfield.io.filter_run import PARTICLES, TRAJECTORY, write_particles
 from beamfield.io.trajectory import write_tum
 from beamfield.sensors import Track
@@ -43,6 +44,16 @@ def test_a_trajectory_of_another_program_has_no_particles_and_may_be_lost(folder
     assert np.isnan(run.poses[6:]).all()
     assert run.lost.name == "robot-lost"
     assert np.nanmedian(run.numbers[AGREEMENT]) < 0.45
+
+
+def test_poses_of_a_log_that_lose_the_robot_are_shown_as_a_run(log, grid):
+    lost = Finding("own-poses-lost", "warning", "They leave the fitted ones.")
+    own = log.with_poses(log.odometry + np.linspace(0.0, 3.0, 12)[:, None] * [0.0, 1.0, 0.0])
+    run = own_poses_as_run(own, grid, lost)
+    start = open_session(log.with_poses(log.odometry), grid, run=run, fit=False)[0].answer({"name": "start"})
+    assert start["run"]["lost"] == "They leave the fitted ones."
+    assert_allclose(np.array(start["run"]["poses"])[-1] - log.odometry[-1], [0.0, 3.0, 0.0], atol=1e-3)
+    assert start["numbers"][ERROR][-1] == pytest.approx(3.0, abs=1e-3)
 
 
 def test_a_run_of_another_log_is_refused(folder, log, grid):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield import __version__
 from beamfield.cli.calibrate_replay import MAP_NAME, replay_fit, shifted_map_file
-from beamfield.cli.report_part import ReportPart, StackPart
+from beamfield.cli.report_part import StackPart
 from beamfield.cli.terminal import complain, line_width
 from beamfield.errors import InvalidInputError, TooLittleDataError
 
@@ -96,7 +96,7 @@ def warn_if_too_short(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGri
 
 def fit_for_stack(
     job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration, motion: Mapping[str, Any]
-) -> ReportPart:
+) -> StackPart:
     """Fit models of the stack, choose one, and return what comes of it; `motion` goes into its file, too."""
     from beamfield.report.escape import escaped
     from beamfield.report.page_section import PageSection
@@ -112,18 +112,19 @@ def fit_for_stack(
     except TooLittleDataError as error:
         why = f"no values for {stack}: {error}"
         section = PageSection("stack", f"For {stack}", f"<p>{escaped(why)}</p>")
-        return ReportPart("stack", why, {"stack": stack, "missing": str(error)}, section, {}, problem=why)
+        document = {"stack": stack, "missing": str(error), "verdict": why}
+        return StackPart("stack", why, document, section, {}, doubt=why, problem=why)
     # A file's own model stays unless replay says otherwise.
     own, others = (best, []) if job.patched is None else (fits[0], fits[1:])
     choice, why_not = replay_fit(job, sensor, grid, own, others, motion)
     chosen = own if choice is None else _fit_of(fits, choice.chosen.filter.model)
-    in_part = any(finding.name == "map-disagrees-in-part" for finding in result.findings)
-    unproven = ""
-    if choice is None and sensor.has_odometry and STACKS[stack].filter is not None:
-        # Scores on windows alone have chosen values that did harm.
-        unproven = f"no value for {stack} is proven, for its filter could not be replayed: {why_not}"
-    found = StackResult(fits, chosen, choice, why_not, doubts(result) or (unproven and f"{unproven}."), in_part)
-    record = _record(found) if found.covers and not found.doubt else ""
+    known = {finding.name for finding in result.findings}
+    found = StackResult(
+        fits, chosen, choice, why_not, doubts(result),
+        disagrees_in_part="map-disagrees-in-part" in known, leaves_out_jumps="odometry-reset" in known,
+    )  # fmt: skip
+    unproven = found.unproven.rstrip(".")
+    record = _record(found) if found.covers and not (found.doubt or unproven) else ""
     start_values = asdict(found.start)
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
     noise = dict(motion) if choice is None else found.motion
@@ -135,7 +136,8 @@ def fit_for_stack(
         files |= shifted_map_file(job, choice)
     return StackPart(
         "stack", "\n\n".join([stack_tables(found, width=line_width()), *said]), stack_as_dict(found),
-        stack_section(found, text), files, values=changed, record=record, doubt=found.doubt, problem=unproven,
+        stack_section(found, text), files, values=changed, record=record, doubt=found.doubt or unproven,
+        problem=unproven,
     )  # fmt: skip
 
 
@@ -221,7 +223,7 @@ def write_patch(file: StackFile, fitted: StackPart) -> str:
     values = file.by_names_in_file(fitted.values or {})
     left = f"left {file.section.path} as it was"
     if fitted.doubt:
-        return f"{left}; what would have changed is in {next(iter(fitted.files))}"
+        return "; what would have changed is in ".join([left, *fitted.files][:2])
     if not values and fitted.record in file.section.text:
         return left
     backup = write_values(file.section, values, record=fitted.record)

@@ -53,7 +53,7 @@ class StackPart(ReportPart):
     record
         The comment by which `beamfield doctor` knows the values again; "" if they did not do well.
     doubt
-        Why no file may be changed: map or poses cannot be trusted; empty if they can.
+        Why no file may be changed; empty if one may.
     """
 
     values: Mapping[str, Any] | None = None

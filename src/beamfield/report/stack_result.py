@@ -32,6 +32,8 @@ class StackResult:
         Why no value may be used yet, whatever replay says: map or poses cannot be trusted; empty if they can.
     disagrees_in_part
         Whether many scans disagree with the map.
+    leaves_out_jumps
+        Whether the odometry jumps and the log that was replayed does not: its poses were fitted without these steps.
     """
 
     fits: Sequence[StackFit]
@@ -40,6 +42,7 @@ class StackResult:
     why_not: str = ""
     doubt: str = ""
     disagrees_in_part: bool = False
+    leaves_out_jumps: bool = False
 
     @property
     def start(self) -> Any:
@@ -48,6 +51,13 @@ class StackResult:
             return self.chosen.start
         model = self.replay.before.filter.model
         return next(fit.start for fit in self.fits if fit.model.model == model)
+
+    @property
+    def unproven(self) -> str:
+        """Why the user's file must stay as it is: scores on windows alone have chosen values that did harm."""
+        stack = self.chosen.model.stack
+        why = f"no value for {stack} is proven, for its filter could not be replayed: {self.why_not}."
+        return why if self.replay is None else ""
 
     @property
     def trial(self) -> Trial:

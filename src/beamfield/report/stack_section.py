@@ -98,36 +98,25 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
         f"scan.</p>\n<p>{escaped(HOW[chosen.how])} A scan multiplies a particle's weight by "
         f"{escaped(model_named(stack, model).formula)}.</p>\n{figure(choice)}"
     )
-    changed = chosen.chosen is not chosen.before if replay is None else replay.is_better
+    is_better = replay is not None and replay.is_better
     doubtful = result.disagrees_in_part or result.is_from_few_places
-    level: Level = "good" if result.covers and changed and not doubtful else "care"
+    level: Level = "good" if result.covers and is_better and not doubtful else "care"
     return PageSection("stack", f"{stack}: {model}", markup, stack_verdict(result), level)
 
 
 def stack_verdict(result: StackResult) -> str:
-    """Return what the values to use do, before and after: in the replayed filter, or else on windows of the log."""
-    if result.doubt:
-        return result.doubt
-    said = _on_windows(result.chosen) if result.replay is None else replay_verdict(result.replay)
-    caution = " Many scans disagree with the map: read the warning about it first." if result.disagrees_in_part else ""
-    return said + caution
-
-
-def _on_windows(fit: StackFit) -> str:
-    name, held_out, before = f"{fit.model.stack}'s {fit.model.model}", fit.chosen.held_out, fit.before.held_out
-    n = len(held_out.log_score)
-    covered = f"95% regions hold the reference in {held_out.coverage:.0%} of {n} held-out windows"
-    if fit.chosen is fit.before:
-        return f"Keep the values you have for {name}: none that was tried does better on this log; {covered}."
-    errors = fit.update.error_after.mean(), fit.update_before.error_after.mean()
-    text = (
-        f"With the calibrated values of {name}, {covered}, with the values before in {before.coverage:.0%}; the score "
-        f"is {held_out.mean:.2f} nats, before {before.mean:.2f}. One scan leaves particles {errors[0]:.3f} m from the "
-        f"reference in the mean, before {errors[1]:.3f} m"
-    )
-    if errors[0] > errors[1] and held_out.coverage > before.coverage:
-        text += ": the values before were surer than they had a right to be"
-    return f"{text}." if fit.covers else f"{text}. The coverage is too low: the weights are still too sure."
+    """Return what the values to use do in the replayed filter, before and after, or why none may be used."""
+    if result.doubt or result.replay is None:
+        return result.doubt or result.unproven
+    said = replay_verdict(result.replay)
+    if result.disagrees_in_part:
+        said += " Many scans disagree with the map: read the warning about it first."
+    if result.leaves_out_jumps:
+        said += (
+            " The odometry's jumps were left out: the robot's filter takes them and may get lost there, whatever the "
+            "values."
+        )
+    return said
 
 
 def _not_replayed(result: StackResult) -> str:

@@ -251,7 +251,7 @@ def test_for_a_file_its_own_model_is_tried_and_a_product_instead_of_a_sum(tmp_pa
         patched=read_stack_file(mine, stack="nav2", model=said), progress=None,
     )  # fmt: skip
     result = SimpleNamespace(findings=(), candidates=(), options=SimpleNamespace(selection=None))
-    fits = _fits(job, None, None, result)
+    fits = _fits(job, None, SimpleNamespace(origin=np.zeros(3)), result)
     assert [name for name, _ in fits] == tried
     assert [start.laser_model_type for _, start in fits] == tried
     assert {start.sigma_hit for _, start in fits} == {0.6}
@@ -268,6 +268,17 @@ def test_where_scans_tell_nothing_nothing_is_replayed_or_written(monkeypatch):
         "no values for nav2: with the best ones 4 scans tell 0.20 nats of where the robot is"
     )
     assert part.problem.endswith("(0.69); do log, poses and map belong together?")
+    assert part.files == {}
+
+
+def test_a_map_whose_yaw_the_program_ignores_gets_no_values():
+    turned = SimpleNamespace(origin=np.array([0.0, 0.0, 0.1]))
+    job = SimpleNamespace(arguments=SimpleNamespace(stack="nav2"), patched=None)
+    part = fit_for_stack(job, None, turned, SimpleNamespace(findings=()), {})
+    assert part.problem == (
+        "no values for nav2: the map's origin has a yaw of 5.73 degrees, and nav2 takes only the origin's x and y: "
+        "every pose is matched against a rotated map. Save the map with a yaw of 0 (rotate the picture)."
+    )
     assert part.files == {}
 
 

@@ -157,11 +157,19 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
     that of a field's product comes next.
     """
     from beamfield.report.verdict import DOUBTS
+    from beamfield.stacks.doctor.map_checks import YAW_TOLERANCE
     from beamfield.stacks.files.typed_values import checked_values
     from beamfield.stacks.fit.fit import fit_stack
     from beamfield.stacks.registry import STACKS
     from beamfield.stacks.stack import FIELD_PRODUCT
 
+    arguments, file = job.arguments, job.patched
+    stack = STACKS[arguments.stack]
+    if stack.turned_map and abs(yaw := grid.origin[2]) > YAW_TOLERANCE:
+        raise TooLittleDataError(
+            f"the map's origin has a yaw of {math.degrees(yaw):.3g} degrees, and {stack.turned_map}. Save the map with "
+            "a yaw of 0 (rotate the picture)."
+        )
     for finding in result.findings:
         if finding.name in ("map-disagrees", "map-out-of-date"):
             raise TooLittleDataError(DOUBTS[finding.name])
@@ -171,8 +179,6 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
                 f"{finding.text.partition(';')[0].lower()}; the robot's filter takes it as it is and gets lost, "
                 f"whatever the values. {finding.do}"
             )
-    arguments, file = job.arguments, job.patched
-    stack = STACKS[arguments.stack]
     models = tuple(stack.models) if arguments.model is None else (arguments.model,)
     if file is not None:
         is_flat = not stack.model(file.model).weight.is_product

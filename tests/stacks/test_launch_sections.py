@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.stacks.files.parameter_file import read_stack_file
+from beamfield.stacks.files.parameter_file import read_stack_file, write_values
 
 
 @pytest.fixture
@@ -83,6 +83,63 @@ def test_a_node_whose_parameters_are_in_another_file_says_which(write):
     message = r"amcl\.launch:3: the parameters of the node 'amcl' are .* in '\$\(find robot\)/amcl.yaml'"
     with pytest.raises(FormatError, match=message):
         read_stack_file(write(body))
+
+
+def test_the_text_of_rosparam_is_read_and_changed_in_its_place(write):
+    path = write(
+        '<arg name="z" default="0.7"/>'
+        + node(
+            param("laser_max_beams", "30"),
+            '<rosparam subst_value="true">',
+            "  # t\u00fcned: by hand",
+            "  laser_z_hit: 0.5   # not 0.9",
+            "  initial_cov: [0.1,",
+            "    0.2]",
+            "  'laser_z_rand': $(arg z)",
+            "  tables:",
+            "    laser_sigma_hit: 7",
+            "  - one",
+            "  odom_model_type: 'diff'",
+            "</rosparam>",
+            '<rosparam command="delete" param="x"/>',
+        )
+    )
+    file = read_stack_file(path)
+    entries = file.section.entries
+    assert {name: entry.value for name, entry in entries.items()} == {
+        "laser_max_beams": 30, "laser_z_hit": 0.5, "initial_cov": "[0.1,", "laser_z_rand": 0.7, "tables": None,
+        "odom_model_type": "diff",
+    }  # fmt: skip
+    assert [entries[name].line for name in ("laser_z_hit", "laser_z_rand", "odom_model_type")] == [6, 9, 13]
+    assert not file.section.elsewhere
+    before = path.read_text()
+    write_values(file.section, {"laser_z_hit": 0.25, "laser_z_rand": 0.75, "laser_sigma_hit": 0.1})
+    assert path.read_text() == before.replace("hit: 0.5 ", "hit: 0.25 ").replace("$(arg z)", "0.75").replace(
+        "\n</node>", '\n  <param name="laser_sigma_hit" value="0.1"/>\n</node>'
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{laser_z_hit: 0.5}", "laser_z_hit: 0.5\n  laser_z_rand: 0.5", "  laser_z_hit: 0.5\nlaser_z_rand: 0.5",
+        "laser_z_hit: &lt;0.5", "<!-- laser_z_hit: 0.5 -->\nlaser_z_hit: 0.6", "laser_z_hit 0.5",
+        "<![CDATA[laser_z_hit: 0.5]]>",
+    ],
+)  # fmt: skip
+def test_a_text_of_rosparam_that_is_not_understood_is_refused_but_for_other_programs(write, text):
+    body = f"<rosparam>\n{text}\n</rosparam>"
+    with pytest.raises(FormatError, match=r"amcl\.launch:\d+: expected lines 'name: value' in the text of <rosparam>"):
+        read_stack_file(write(node(body)))
+    other = node(body.replace("laser", "costmap"), attributes='pkg="move_base" type="move_base" name="move_base"')
+    entries = read_stack_file(write(other + node(param("laser_z_hit", "0.4")))).section.entries
+    assert entries["laser_z_hit"].value == 0.4
+
+
+def test_a_parameter_in_a_tag_and_in_the_text_of_rosparam_is_refused(write):
+    twice = node("<rosparam>laser_z_hit: 0.5</rosparam>", param("laser_z_hit", "0.4"))
+    with pytest.raises(FormatError, match="laser_z_hit: duplicate parameter"):
+        read_stack_file(write(twice))
 
 
 @pytest.mark.parametrize(

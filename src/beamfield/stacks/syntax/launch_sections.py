@@ -14,7 +14,8 @@ from beamfield.io.files.text_lines import read_at_most
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.syntax.launch_arguments import LaunchArguments
 from beamfield.stacks.syntax.line_ends import line_break, start_of_line
-from beamfield.stacks.syntax.parameter_text import Entry, ParameterSection, Signs, decoded, plain_value
+from beamfield.stacks.syntax.parameter_text import Entry, ParameterSection, Signs, Value, decoded, plain_value
+from beamfield.stacks.syntax.rosparam_text import rosparam_values
 
 MAX_BYTES = 2_000_000
 # How a node's program may be called: what ROS 1 calls type, ROS 2 exec.
@@ -30,7 +31,8 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     ----------
     path
         The file. ``$(arg z_hit)`` is filled in with its default if the file has one; a value that nobody knows before
-        the start is None. Nodes and parameters whose ``if`` or ``unless`` takes them out by default are left out.
+        the start is None. The text of ``<rosparam>`` counts like tags. Nodes and parameters whose ``if`` or ``unless``
+        takes them out by default are left out.
     signs
         By what a node is recognised. One with such a parameter counts whatever its type is called.
 
@@ -38,24 +40,30 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     ------
     FormatError
         If the file is too large, no UTF-8, no XML, or declares entities (which can expand without bound); if a node
-        has a parameter twice, or all its parameters are in another file.
+        has a parameter twice, text of ``<rosparam>`` that is not understood, or all its parameters in another file.
     """
     content = read_at_most(path, MAX_BYTES, "a launch file").removeprefix(b"\xef\xbb\xbf")
     text = decoded(path, content)
     nodes = _Parser(path, signs).nodes(content)
     chosen = [node for node in nodes if not signs.names.isdisjoint(node.params)]
     chosen = chosen or [node for node in nodes if node.localises]
+    for node in nodes:
+        if node.fault is not None and (node.localises or node in chosen):
+            raise node.fault
     offsets = [at for node in chosen for at in (node.end, *(p.offset for p in node.params.values()))]
     places = _characters(content, offsets)
     return [_section(path, text, node, signs.names, places) for node in chosen]
 
 
 class _Param(NamedTuple):
-    value: str | None
-    written: str
+    value: Value | None
+    filled_in: str
     line: int
+    # Byte offset of its tag, or of the text that it stands in.
     offset: int
     conditional: bool
+    # Where its value begins and ends in that text, in characters; None for that of a tag.
+    span: tuple[int, int] | None = None
 
 
 @dataclass
@@ -68,6 +76,8 @@ class _Node:
     end: int = 0
     params: dict[str, _Param] = field(default_factory=dict)
     elsewhere: list[tuple[int, str]] = field(default_factory=list)
+    # What is wrong with the text of its <rosparam>: of other programs' nodes, their business.
+    fault: FormatError | None = None
 
 
 class _Parser:
@@ -79,9 +89,14 @@ class _Parser:
         self.found: list[_Node] = []
         # Of each open tag: whether it is there, its namespace, and its node.
         self.open: list[tuple[bool, str, _Node | None]] = []
+        # Of an open <rosparam> with text: its attributes, and where the text begins.
+        self.rosparam: dict[str, str] | None = None
+        self.text_begins: tuple[int, int] | None = None
 
     def nodes(self, content: bytes) -> list[_Node]:
+        self.content = content
         self.expat = expat.ParserCreate("utf-8")
+        self.expat.CharacterDataHandler = self.characters
         self.expat.StartElementHandler = self.begin
         self.expat.EndElementHandler = self.finish
         self.expat.StartDoctypeDeclHandler = self.refuse
@@ -109,6 +124,26 @@ class _Parser:
         there, _, node = self.open.pop()
         if tag == "node" and there and node is not None:
             node.end = self.expat.CurrentByteIndex
+        if tag == "rosparam" and node is not None and self.rosparam is not None and self.text_begins is not None:
+            try:
+                self.rosparam_text(node, self.rosparam, *self.text_begins)
+            except FormatError as fault:
+                node.fault = node.fault or fault
+        self.rosparam = self.text_begins = None
+
+    def characters(self, _: str) -> None:
+        if self.rosparam is not None and self.text_begins is None:
+            self.text_begins = self.expat.CurrentByteIndex, self.expat.CurrentLineNumber
+
+    def rosparam_text(self, node: _Node, attributes: dict[str, str], begin: int, line: int) -> None:
+        text = self.content[begin : self.expat.CurrentByteIndex].decode()
+        conditional = "if" in attributes or "unless" in attributes
+        for name, written, at, start in rosparam_values(self.path, text, line):
+            quoted = written[:1] in ("'", '"')
+            filled = self.arguments.fill_in(written) if attributes.get("subst_value", "").lower() == "true" else written
+            value = written[1:-1] if quoted else None if filled is None else plain_value(filled)
+            filled_in = written if filled != written else ""
+            self.add(node, name, _Param(value, filled_in, at, begin, conditional, (start, start + len(written))))
 
     def refuse(self, name: str, *_: object) -> None:
         line = self.expat.CurrentLineNumber
@@ -128,19 +163,25 @@ class _Parser:
 
     def inside(self, node: _Node, tag: str, attributes: dict[str, str]) -> None:
         line = self.expat.CurrentLineNumber
-        if tag == "rosparam" or (tag == "param" and "from" in attributes):
+        if tag == "rosparam" and attributes.get("command", "load") != "load":
+            return  # stores parameters in a file, or deletes some
+        if tag == "rosparam" and not {"file", "param", "ns"} & attributes.keys():
+            self.rosparam = attributes
+        elif tag == "rosparam" or (tag == "param" and "from" in attributes):
             source = attributes.get("file", attributes.get("from"))
             node.elsewhere.append((line, "the text of <rosparam>" if source is None else source))
         elif tag == "param" and "value" in attributes:
             name = (self.arguments.fill_in(attributes.get("name", "")) or "").removeprefix("~")
             conditional = "if" in attributes or "unless" in attributes
-            if name in node.params:
-                if conditional or node.params[name].conditional:
-                    return
-                raise FormatError(self.path, "duplicate parameter", line=line, field=name)
             written = attributes["value"]
-            value = self.arguments.fill_in(written)
-            node.params[name] = _Param(value, written, line, self.expat.CurrentByteIndex, conditional)
+            filled = self.arguments.fill_in(written)
+            value, filled_in = None if filled is None else plain_value(filled), written if filled != written else ""
+            self.add(node, name, _Param(value, filled_in, line, self.expat.CurrentByteIndex, conditional))
+
+    def add(self, node: _Node, name: str, param: _Param) -> None:
+        known = node.params.setdefault(name, param)
+        if known is not param and not (param.conditional or known.conditional):
+            raise FormatError(self.path, "duplicate parameter", line=param.line, field=name)
 
 
 def _section(path: Path, text: str, node: _Node, known: Set[str], places: dict[int, int]) -> ParameterSection:
@@ -150,23 +191,26 @@ def _section(path: Path, text: str, node: _Node, known: Set[str], places: dict[i
                           line=line)  # fmt: skip
     entries = {}
     for name, param in node.params.items():
-        start, stop = _value_place(path, text, places[param.offset], name, param.line)
-        value = None if param.value is None else plain_value(param.value)
-        filled_in = param.written if param.value != param.written else ""
-        entries[name] = Entry(name, value, param.line, start, stop, filled_in)
+        at = places[param.offset]
+        start, stop = (
+            _value_place(path, text, at, name, param.line)
+            if param.span is None
+            else (at + param.span[0], at + param.span[1])
+        )
+        entries[name] = Entry(name, param.value, param.line, start, stop, param.filled_in)
     end = places[node.end]
-    at: int | None = None
+    insert_at: int | None = None
     before = line_break(text)
     if text.startswith("</", end):
         begin = start_of_line(text, end)
         indent = text[begin:end]
         if indent.strip() or begin == 0:
-            at, before = end, ""
+            insert_at, before = end, ""
         else:
             # On a line of its own before the end tag. No comment reaches there: the line has nothing but the tag.
-            at = begin - (2 if text[begin - 2 : begin] == "\r\n" else 1)
+            insert_at = begin - (2 if text[begin - 2 : begin] == "\r\n" else 1)
             before += _indent(text, entries.values()) or indent + "  "
-    return ParameterSection(path, "launch", node.label, node.line, text, entries, at, before,
+    return ParameterSection(path, "launch", node.label, node.line, text, entries, insert_at, before,
                             package=node.package, elsewhere=tuple(node.elsewhere))  # fmt: skip
 
 

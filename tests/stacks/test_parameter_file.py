@@ -196,6 +196,47 @@ def test_only_nodes_with_a_model_count_beside_others_of_amcl(write):
     assert read_stack_file(write(text)).section.label == "amcl.ros__parameters"
 
 
+SHARED = """\
+/**:
+  ros__parameters:
+    use_sim_time: true
+    z_hit: 0.4
+    alpha1: 0.3
+amcl:
+  ros__parameters:
+    z_hit: 0.6
+    z_rand: 0.4  # mine
+"""
+
+
+def test_parameters_of_all_nodes_are_those_of_the_node_unless_it_has_its_own(write):
+    section = read_stack_file(write(SHARED)).section
+    assert section.label == "amcl.ros__parameters"
+    assert {name: entry.value for name, entry in section.entries.items()} == {
+        "use_sim_time": True, "z_hit": 0.6, "alpha1": 0.3, "z_rand": 0.4,
+    }  # fmt: skip
+    path = section.path
+    write_values(section, {"z_hit": 0.5, "alpha1": 0.1, "alpha2": 0.2})
+    expected = SHARED.replace("z_hit: 0.6", "z_hit: 0.5").replace("alpha1: 0.3", "alpha1: 0.1")
+    assert path.read_text() == expected.replace("# mine\n", "# mine\n    alpha2: 0.2\n")
+
+
+def test_a_nodes_section_without_parameters_of_the_laser_gets_those_of_all_nodes(write):
+    text = SHARED.replace("    z_hit: 0.6\n    z_rand: 0.4  # mine\n", "    alpha2: 0.7\n")
+    section = read_stack_file(write(text)).section
+    assert (section.label, section.entries["z_hit"].value) == ("amcl.ros__parameters", 0.4)
+    alone = read_stack_file(write(text.partition("amcl:")[0])).section
+    assert (alone.label, alone.entries["z_hit"].value) == ("/**.ros__parameters", 0.4)
+
+
+def test_which_of_two_values_a_node_gets_must_not_depend_on_the_release(write):
+    shared, _, node = SHARED.partition("amcl:")
+    with pytest.raises(FormatError, match=r":8: z_hit: is in 'amcl\.ros__parameters', too: which one counts"):
+        read_stack_file(write(f"amcl:{node}{shared}"))
+    section = read_stack_file(write(f"amcl:{node}{shared}".replace("    z_hit: 0.4\n", ""))).section
+    assert (section.entries["z_hit"].value, section.entries["alpha1"].value) == (0.6, 0.3)
+
+
 def test_keys_may_be_numbers_in_other_sections(write):
     assert read_stack_file(write("waypoints:\n  1: {2.5: a}\n" + NAV2)).section.entries["z_hit"].value == 0.5
 

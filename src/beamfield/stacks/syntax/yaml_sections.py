@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Set
+from dataclasses import replace
 from typing import Any
 
 from beamfield.errors import FormatError
@@ -11,9 +12,14 @@ from beamfield.io.files.yaml_file import Place, YamlFile, shorten
 from beamfield.stacks.syntax.line_ends import end_of_line, line_break, start_of_line, start_of_yaml_line
 from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry, ParameterSection, Signs
 
+# ROS 2 gives the parameters here to every node.
+FOR_ALL: Place = ("/**", ROS_2_KEY)
+
 
 def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
     """Return the sections that hold parameters of a measurement model, in the order of the file.
+
+    A node's section holds those that the file gives to all nodes, too.
 
     Parameters
     ----------
@@ -25,13 +31,33 @@ def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
     Raises
     ------
     FormatError
-        If a key without value is written in a way that is not found.
+        If a key without value is written in a way that is not found, or it depends on the release of ROS which of two
+        values a node gets.
     """
     maps = [(place, values) for place, values in _maps(file.values, ()) if place or values]
     chosen = [item for item in maps if not signs.names.isdisjoint(_scalars(item[1]))]
+    for_all = next((item for item in maps if item[0] == FOR_ALL), None)
+    if chosen == [for_all]:
+        chosen = [item for item in maps if item[0][-2:] in {(node, ROS_2_KEY) for node in signs.nodes}] or chosen
+    else:
+        chosen = [item for item in chosen if item is not for_all]
     # nav2's files have further nodes with amcl in their names; they only count where no node says anything.
     chosen = chosen or [item for item in maps if _is_node(item[0], signs.nodes)]
-    return [_section(file, place, values, signs.names) for place, values in chosen]
+    nodes = [_section(file, place, values, signs.names) for place, values in chosen]
+    if for_all is None or chosen == [for_all]:
+        return nodes
+    shared = _section(file, *for_all, signs.names)
+    return [_with_shared(node, shared) for node in nodes]
+
+
+def _with_shared(node: ParameterSection, shared: ParameterSection) -> ParameterSection:
+    """Return a node's section with the parameters for all nodes that it does not set itself."""
+    both = [name for name in shared.entries if name in node.entries]
+    twice = next((name for name in both if shared.entries[name].value != node.entries[name].value), "")
+    if twice and shared.line > node.line:
+        # In some the node's own section counts, in others what comes last.
+        raise shared.error(twice, f"is in {node.label!r}, too: which one counts depends on ROS's release, keep one")
+    return replace(node, entries={**shared.entries, **node.entries}) if node.is_ros_2 else node
 
 
 def _maps(values: Any, place: Place) -> Iterator[tuple[Place, dict[str, Any]]]:

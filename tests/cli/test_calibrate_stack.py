@@ -84,6 +84,13 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     corrected, as_it_was = read_map(tmp_path / "out" / "amcl_map.yaml"), read_map(world / "map.yaml")
     np.testing.assert_allclose(corrected.origin, as_it_was.origin + np.array([shift, shift, 0.0]), atol=1e-9)
     np.testing.assert_array_equal(corrected.probability, as_it_was.probability)
+    assert re.search(r"\n# .*; checksum \w+ of the values; chosen for the map amcl_map.yaml\n$", after)
+    copied = tmp_path / "elsewhere" / "amcl_map.yaml"
+    copied.parent.mkdir()
+    copied.write_text((tmp_path / "out" / "amcl_map.yaml").read_text())
+    np.testing.assert_array_equal(read_map(copied).probability, as_it_was.probability)
+    (image,) = (one.name for one in world.iterdir() if one.stem == "map" and one.suffix != ".yaml")
+    assert f"# On another computer put this file beside the picture, and write image: {image}\n" in copied.read_text()
     assert "for the map amcl_map.yaml beside this file" in (tmp_path / "out" / "nav2.yaml").read_text()
     for path in (mine, tmp_path / "out" / "nav2.yaml"):
         assert main(["doctor", str(path), "--map", str(world / "map.yaml")]) == 0

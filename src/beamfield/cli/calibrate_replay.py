@@ -76,15 +76,18 @@ def shifted_map_file(job: CalibrationJob, choice: ReplayChoice) -> dict[str, str
         return {}
     # Files of several sensors lie in folders of their own.
     folder = arguments.out / "sensor" if len(arguments.sensor or []) > 1 else arguments.out
-    image = os.path.relpath(image_path(arguments.map).resolve(), folder.resolve())
+    image, place = image_path(arguments.map).resolve(), folder.resolve()
+    # An absolute path outlives a copy of this file.
+    named = image.relative_to(place) if image.is_relative_to(place) else image
     comments = [
         f"{file_name(arguments.map)} for amcl alone: its origin is moved by {shift:g} m, half a cell, in x and in y.",
         "amcl takes the origin for the centre of the first cell, everything else for its corner. With this origin amcl",
         "has the walls where they are. Costmaps, planners and rviz need the map as it was: let a second map_server",
         "publish this one, on a topic that amcl alone takes.",
+        f"On another computer put this file beside the picture, and write image: {file_name(image)}",
     ]
     head = "".join(f"# {line}\n" for line in comments)
-    return {MAP_NAME: head + moved_map_text(arguments.map, (shift, shift), image)}
+    return {MAP_NAME: head + moved_map_text(arguments.map, (shift, shift), str(named))}
 
 
 def _settings(job: CalibrationJob, fit: StackFit) -> FilterSettings | None:

@@ -125,6 +125,7 @@ def fit_for_stack(
     )  # fmt: skip
     unproven = found.unproven.rstrip(".")
     record = _record(found) if found.covers and not (found.doubt or unproven) else ""
+    for_map = f"chosen for the map {MAP_NAME}" if choice is not None and choice.chosen.shift else ""
     start_values = asdict(found.start)
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
     noise = dict(motion) if choice is None else found.motion
@@ -136,8 +137,8 @@ def fit_for_stack(
         files |= shifted_map_file(job, choice)
     return StackPart(
         "stack", "\n\n".join([stack_tables(found, width=line_width()), *said]), stack_as_dict(found),
-        stack_section(found, text), files, values=changed, record=record, doubt=found.doubt or unproven,
-        problem=unproven,
+        stack_section(found, text), files, values=changed, record="; ".join(filter(None, (record, for_map))),
+        doubt=found.doubt or unproven, problem=unproven,
     )  # fmt: skip
 
 

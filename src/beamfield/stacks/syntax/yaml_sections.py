@@ -39,7 +39,7 @@ def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
     for_all = next((item for item in maps if item[0] == FOR_ALL), None)
     if chosen == [for_all]:
         chosen = [item for item in maps if item[0][-2:] in {(node, ROS_2_KEY) for node in signs.nodes}] or chosen
-    else:
+    elif any(item[0][-1:] == (ROS_2_KEY,) and item is not for_all for item in chosen):
         chosen = [item for item in chosen if item is not for_all]
     # nav2's files have further nodes with amcl in their names; they only count where no node says anything.
     chosen = chosen or [item for item in maps if _is_node(item[0], signs.nodes)]

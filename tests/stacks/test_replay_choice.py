@@ -268,6 +268,43 @@ def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office
     assert nothing.finalist.sensor == "fitted"
 
 
+def test_motion_noise_that_only_the_choice_likes_stays_as_it_was(office, monkeypatch):
+    # One noise for each room, worse in the other than the user's, and one that is a little better in both.
+    errors = {"before": (0.054, 0.054), "of room": (0.035, 0.08), "of hall": (0.08, 0.035), "of both": (0.045, 0.045)}
+
+    def runs(key: Key) -> list[ReplayTrials]:
+        known = errors[key.motion] if key.sensor == "fitted" else (0.2, 0.2)
+        return [
+            ReplayTrials(name, tuple(range(12)), tuple(replace(RUN, mean=error + 0.0001 * i) for i in range(12)))
+            for name, error in zip(("room", "hall"), known, strict=True)
+        ]
+
+    class Known(Replays):
+        def of(self, settings, *_):
+            return {one.key: runs(one.key) for one in settings}
+
+    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    noises = MotionCandidates({name: {"alpha1": 0.01 * i} for i, name in enumerate(errors)}, None)
+    sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, sigma_hit=0.1))}
+    choice = choose_by_replay(nav2_filter(), sensors, noises, 0.0, [None] * 2, office, FEW)
+    assert choice.is_better
+    assert (choice.chosen.sensor, choice.chosen.motion) == ("fitted", "before")
+    assert set(choice.parts) == {"sensor"}
+
+
+def test_the_table_says_how_often_the_truth_is_inside_without_each_part(repaired):
+    rivals = {"motion": 0.5, "origin": 0.25}
+    trials = {
+        name: [replace(one, errors=tuple(replace(run, inside_noisy=inside) for run in one.errors))
+               for one in repaired.trials_finalist]
+        for name, inside in rivals.items()
+    }  # fmt: skip
+    choice = replace(repaired, trials_without=trials, parts=dict.fromkeys(rivals, repaired.error))
+    rows = {line.partition("  ")[0]: line for line in replay_tables(choice).splitlines()}
+    assert rows["noise as before"].endswith(" 50%")
+    assert rows["origin as before"].endswith(" 25%")
+
+
 @pytest.mark.parametrize(("inside_after", "is_better"), [(0.8, False), (0.95, True)])
 def test_a_little_less_where_errors_are_small_is_no_gain_unless_particles_hold_the_truth(
     office, monkeypatch, inside_after, is_better

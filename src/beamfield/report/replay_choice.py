@@ -108,7 +108,8 @@ def _rows(choice: ReplayChoice) -> list[tuple[str, ...]]:
         rows.append((_place(choice), f"{error.after:.3f}", _interval(error), *_counts(choice.trials_finalist)))
     if len(choice.parts) > 1:
         rows += [
-            (_PARTS[name], f"{one.before:.3f}", _interval(one, -1.0), "", "") for name, one in choice.parts.items()
+            (_PARTS[name], f"{one.before:.3f}", _interval(one, -1.0), *_counts(choice.trials_without[name]))
+            for name, one in choice.parts.items()
         ]
     return rows
 

@@ -100,10 +100,13 @@ class ReplayChoice:
         The best over all stretches; the same if that was the user's.
     is_better
         Whether the finalist won: its cost is surely lower, and its error lower or its coverage higher for sure; neither
-        the error nor the share of lost runs is surely higher.
+        the error nor the share of lost runs is surely higher. It has the user's motion noise or sensor where
+        neither cost nor error is surely lower with others, and the rest wins without.
     trials_before, trials_finalist
         Runs on each stretch, paired: of the user's setting, and of the one that the other stretches choose, mostly the
         finalist. No stretch judges what it has chosen.
+    trials_without
+        By "sensor", "motion" or "origin", as far as the finalist differs in it: the finalist's runs without it.
     error
         Mean position error of a run, no more than 1 m: before and finalist.
     cost
@@ -120,6 +123,7 @@ class ReplayChoice:
     is_better: bool
     trials_before: tuple[ReplayTrials, ...]
     trials_finalist: tuple[ReplayTrials, ...]
+    trials_without: Mapping[str, tuple[ReplayTrials, ...]]
     error: ReplayComparison
     cost: ReplayComparison
     parts: Mapping[str, ReplayComparison]
@@ -211,29 +215,39 @@ def choose_by_replay(
     if finalist is not own:
         choices = [choose([other for other in everywhere if other != i]) for i in everywhere]
         crossed = [one if one is own else settings[one.key._replace(origin=finalist.shift)] for one in choices]
-    without = _without_each_part(settings, finalist, crossed)
-    judged = {one.key: one for one in (own, *crossed, *chain(*without.values()))}
-    trials = replays.of(judged.values(), replays.n_seeds, "judging the choice", progress)
+    n_settings = len(raced) + (best.shift > 0.0)
 
-    def on_each(chosen: Sequence[ReplaySetting]) -> list[ReplayTrials]:
-        return [trials[one.key][i] for i, one in enumerate(chosen)]
+    def judge(finalist: ReplaySetting, crossed: Sequence[ReplaySetting]) -> ReplayChoice:
+        without = _without_each_part(settings, finalist, crossed)
+        judged = {one.key: one for one in (own, *crossed, *chain(*without.values()))}
+        trials = replays.of(judged.values(), replays.n_seeds, "judging the choice", progress)
 
-    before_, after = trials[own.key], on_each(crossed)
-    error, cost = _compared(before_, after, clipped), _compared(before_, after, costs)
-    coverage, lost = (compare_trials(before_, after, measure) for measure in ("inside_noisy", "lost"))
-    # A few per cent less where errors are small lower the cost, though the error elsewhere may well have grown by more.
-    gains = cost.is_lower and (error.is_lower or coverage.is_higher)
-    choice = ReplayChoice(
-        before=own,
-        finalist=finalist,
-        is_better=gains and not (error.is_higher or lost.is_higher),
-        trials_before=tuple(before_),
-        trials_finalist=tuple(after),
-        error=error,
-        cost=cost,
-        parts={name: _compared(on_each(rivals), after, clipped) for name, rivals in without.items()},
-        n_settings=len(raced) + (best.shift > 0.0),
-    )
+        def on_each(chosen: Sequence[ReplaySetting]) -> tuple[ReplayTrials, ...]:
+            return tuple(trials[one.key][i] for i, one in enumerate(chosen))
+
+        before_, after = tuple(trials[own.key]), on_each(crossed)
+        without_parts = {name: on_each(rivals) for name, rivals in without.items()}
+        return ReplayChoice(
+            before=own,
+            finalist=finalist,
+            is_better=_is_surely_better(before_, after),
+            trials_before=before_,
+            trials_finalist=after,
+            trials_without=without_parts,
+            error=_compared(before_, after, clipped),
+            cost=_compared(before_, after, costs),
+            parts={name: _compared(rivals, after, clipped) for name, rivals in without_parts.items()},
+            n_settings=n_settings,
+        )
+
+    choice = judge(finalist, crossed)
+    for part in ("motion", "sensor"):
+        # All stretches chose it; what the judgement does not confirm is chance.
+        if choice.is_better and not _is_confirmed(choice, part):
+            key, *keys = (one.key._replace(**{part: getattr(OWN, part)}) for one in (choice.finalist, *crossed))
+            simpler = [settings[one] for one in keys]
+            rest = judge(settings[key], simpler)
+            choice, crossed = (rest, simpler) if rest.is_better else (choice, crossed)
     if choice.is_better or finalist.sensor == BEFORE:
         return choice
     # What is not better for sure, as a sensor that loses a few robots, must not hide what is.
@@ -330,6 +344,22 @@ def _without_each_part(
     """Return settings with each part as it was before, as far as the finalist differs in it."""
     changed = [name for name in Key._fields if getattr(finalist.key, name) != getattr(OWN, name)]
     return {name: [settings[one.key._replace(**{name: getattr(OWN, name)})] for one in crossed] for name in changed}
+
+
+def _is_confirmed(choice: ReplayChoice, part: str) -> bool:
+    """Return whether the finalist's error or cost is surely lower with a part; true if it does not differ in it."""
+    if part not in choice.parts:
+        return True
+    cost = _compared(choice.trials_without[part], choice.trials_finalist, costs)
+    return cost.is_lower or choice.parts[part].is_lower
+
+
+def _is_surely_better(before: Sequence[ReplayTrials], after: Sequence[ReplayTrials]) -> bool:
+    """Return whether the cost is surely lower, and neither the error nor the share of lost runs surely higher."""
+    error, cost = _compared(before, after, clipped), _compared(before, after, costs)
+    coverage, lost = (compare_trials(before, after, measure) for measure in ("inside_noisy", "lost"))
+    # A few per cent less where errors are small lower the cost, though the error elsewhere may well have grown by more.
+    return cost.is_lower and (error.is_lower or coverage.is_higher) and not (error.is_higher or lost.is_higher)
 
 
 def _compared(

@@ -10,8 +10,8 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 from beamfield import __version__
 from beamfield.cli import (
@@ -33,6 +33,7 @@ from beamfield.cli import (
     translate,
 )
 from beamfield.cli import map as map_command
+from beamfield.cli.compile_ahead import compile_ahead
 from beamfield.cli.outcome import show, show_notes
 from beamfield.cli.parser import Parser
 from beamfield.cli.terminal import complain
@@ -97,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parsed.noticed = []
     try:
         limited = nullcontext() if threads is None else set_threads(threads)
-        with _unpacking_limit(parsed), limited, parallel_runs() if is_ours else nullcontext():
+        with _unpacking_limit(parsed), limited, _other_processes(parsed) if is_ours else nullcontext():
             outcome = parsed.run(parsed)
         show(outcome, parsed)
         sys.stdout.flush()
@@ -121,6 +122,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         hint = "" if parsed.verbose else "; -v shows where"
         return _fail(f"internal error, please report it: {type(error).__name__}: {error}{hint}", INTERNAL_ERROR)
+
+
+@contextmanager
+def _other_processes(parsed: argparse.Namespace) -> Iterator[None]:
+    with parallel_runs(), compile_ahead() if parsed.command in ("calibrate", "demo") else nullcontext():
+        yield
 
 
 def _unpacking_limit(parsed: argparse.Namespace) -> AbstractContextManager[None]:

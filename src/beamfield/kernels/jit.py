@@ -89,6 +89,12 @@ def _compiled(function: F, **flags: Any) -> F:
     return cast(F, dispatcher)
 
 
+def is_on_disk(function: Callable[..., Any]) -> bool:
+    """Return whether a kernel has been compiled by any process since its files changed."""
+    file = getattr(getattr(function, "_cache", None), "_cache_file", None)
+    return file is not None and bool(file._load_index())
+
+
 @cache
 def called_files(module: str) -> tuple[str, ...]:
     """Return the other files whose kernels those of a module can call, and those that these can call, sorted.

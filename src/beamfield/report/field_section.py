@@ -24,15 +24,7 @@ SCORE_HEADER = ("held-out blocks", "nats per reading ± s.e.", "nats per posteri
 
 
 def field_tables(learned: FieldLearning, *, width: int | None = None) -> str:
-    """Return the tables for the terminal: the parameters, and how they do on held-out blocks.
-
-    Parameters
-    ----------
-    learned
-        The result of `learn_field_parameters`.
-    width
-        Characters in a line, for a terminal; None: as many as it takes.
-    """
+    """Return the tables for the terminal: the parameters, and how they do on held-out blocks."""
     parts = [
         aligned(PARAMETER_HEADER, _parameter_rows(learned), right=(1,), width=width),
         aligned(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3), width=width),

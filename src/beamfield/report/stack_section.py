@@ -30,15 +30,7 @@ HOW = {
 
 
 def stack_tables(result: StackResult, *, width: int | None) -> str:
-    """Return the tables for the terminal: parameters, start against calibrated for every model fitted, and replay.
-
-    Parameters
-    ----------
-    result
-        What was found.
-    width
-        Characters in a line, for a terminal; None: as many as it takes.
-    """
+    """Return the tables for the terminal: parameters, start against calibrated for every model fitted, and replay."""
     fits, chosen = result.fits, result.chosen
     rows, scores = _parameter_rows(result), [row for fit in fits for row in _score_rows(fit, result.trial)]
     parts = [

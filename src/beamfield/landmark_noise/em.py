@@ -177,18 +177,8 @@ def climb_noise(
 ) -> NoiseClimb:
     """Climb the log-likelihood by EM.
 
-    Parameters
-    ----------
-    likelihood
-        What is climbed.
-    start
-        Where to begin.
-    weights
-        (n,) how often each sighting counts; None for once.
-    tolerance
-        Nats per sighting that all further iterations together may promise, judged from how fast gains shrink.
-    max_iterations
-        Most iterations.
+    Weights (n,) say how often each sighting counts; None for once. It ends where all further iterations together
+    promise less than the tolerance, in nats per sighting, judged from how fast gains shrink.
     """
     counts = np.ones(len(likelihood)) if weights is None else weights
     theta = best = start
@@ -213,9 +203,7 @@ def climb_noise(
 def noise_starts(likelihood: NoiseLikelihood) -> list[NoiseTheta]:
     """Return where to begin: one start trusts the middle half of the residuals, one all of them.
 
-    Returns
-    -------
-    Two starts; sigmas are NaN for what was never measured.
+    Sigmas are NaN for what was never measured.
     """
     e = likelihood.ranges[likelihood.real & likelihood.has_range]
     b = likelihood.bearings[likelihood.real & likelihood.has_bearing]

@@ -116,23 +116,9 @@ class CrossFittedPoses(FittedPoses):
 @checked
 def fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | None = None, progress: Progress | None = None
               ) -> FittedPoses:  # fmt: skip
-    """Fit the poses of a log to a map, by all of its beams.
+    """Fit the poses of a log to a map, by all of its beams, and keep those that are trusted; see `fit_trajectory`.
 
-    Parameters
-    ----------
-    log, grid, start, progress
-        As for `fit_trajectory`.
-
-    Returns
-    -------
-    The log with the poses that are trusted.
-
-    Raises
-    ------
-    TrajectoryNotFoundError
-        If no pose is trusted, and as `fit_trajectory`.
-    InvalidInputError, TooLittleDataError
-        As `fit_trajectory`.
+    TrajectoryNotFoundError if none is, too.
     """
     fit = fit_trajectory(log, grid, start=start, progress=progress)
     posed, deviation = _posed(log, fit, fit.trusted), _deviation(fit, fit.trusted)

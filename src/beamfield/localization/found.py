@@ -23,17 +23,10 @@ CUT_SHARE = 1.0 / 3.0
 
 @checked
 def time_to_find(replay: Replay, log: SensorLog, first: int = 0) -> float | None:
-    """Return how long a filter took to find the robot.
+    """Return how long a filter took to find the robot, seconds from the scan `first` until the one that found it.
 
-    Returns
-    -------
-    Seconds from the scan `first` until the first one from which on 95% of the scans are within 0.5 m of the
-    reference; None if there is none that leaves at least a fifth of these scans.
-
-    Raises
-    ------
-    TooLittleDataError
-        If no scan from `first` on has a reference pose.
+    From that one on 95% of the scans are within 0.5 m of the reference; None if there is none that leaves at least a
+    fifth of the scans. TooLittleDataError if no scan from `first` on has a reference pose.
     """
     known = np.flatnonzero(np.isfinite(log.poses).all(axis=1))
     known = known[known >= first]

@@ -22,16 +22,9 @@ SQRT_2PI = math.sqrt(2.0 * math.pi)
 
 
 def painted_walls(sigma: float, clutter: float, walls: Walls) -> HitNoise:
-    """Return the noise of hits whose wall stands anywhere in its painted cells.
+    """Return the noise of hits whose wall stands anywhere in its painted cells; sigma is in metres.
 
-    Parameters
-    ----------
-    sigma
-        Standard deviation, metres.
-    clutter
-        How likely a reading is that has nothing to do with the map, relative to a hit.
-    walls
-        The map's.
+    Clutter is how likely a reading is that has nothing to do with the map, relative to a hit.
     """
     return HitNoise(sigma, clutter, -walls.deepest, 0.5 * walls.resolution)
 

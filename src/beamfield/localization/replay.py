@@ -295,17 +295,7 @@ def _difference(poses: FloatArray, truth: FloatArray) -> FloatArray:
 def reference_start(log: SensorLog, **spread: Any) -> tuple[int, PoseBelief]:
     """Return the first scan that has both a reference pose and odometry, and a belief around its reference pose.
 
-    Parameters
-    ----------
-    log
-        With reference poses.
-    **spread
-        As for `PoseBelief.around`.
-
-    Raises
-    ------
-    TooLittleDataError
-        If there is no such scan.
+    The spread is as for `PoseBelief.around`. TooLittleDataError if there is no such scan.
     """
     usable = np.flatnonzero(np.isfinite(log.poses).all(axis=1) & np.isfinite(log.odometry).all(axis=1))
     if not len(usable):

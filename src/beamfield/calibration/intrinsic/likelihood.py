@@ -146,17 +146,7 @@ class IntrinsicLikelihood:
         return self.n_returned + self.n_max
 
     def reweighted(self, weights: FloatArray) -> IntrinsicLikelihood:
-        """Return the same beams, counted differently.
-
-        Parameters
-        ----------
-        weights
-            (n,) how often each beam counts, in the caller's order.
-
-        Returns
-        -------
-        A likelihood that shares the beams with this one.
-        """
+        """Return the same beams, shared, each counted as often as the weights (n,) say in the caller's order."""
         other = self._shallow_copy()
         other._set_weights(weights, n_max=0.0)
         return other
@@ -196,18 +186,10 @@ class IntrinsicLikelihood:
         return other
 
     def expected_statistics(self, theta: FloatArray, *, slope_is_free: bool = False) -> ExpectedStatistics:
-        """Do the E-step: one pass over the beams.
+        """Do the E-step at the working vector theta (8,): one pass over the beams.
 
-        Parameters
-        ----------
-        theta
-            (8,) working vector.
-        slope_is_free
-            Whether the M-step will need the moments for a slope though it is 0 here.
-
-        Returns
-        -------
-        Statistics; the log-likelihood is -inf where readings at maximum range have weight 0.
+        `slope_is_free`: the M-step will need the moments for a slope though it is 0 here. The log-likelihood is -inf
+        where readings at maximum range have weight 0.
         """
         bins = self._cut(theta)
         n_bins = bins.starts.size

@@ -131,13 +131,7 @@ def even_bearings(finder: RangeFinder, topic: str) -> tuple[float, float]:
 
 
 def load_typestore() -> Typestore:
-    """Return the message definitions of the newest ROS 2.
-
-    Raises
-    ------
-    MissingDependencyError
-        If rosbags is not installed.
-    """
+    """Return the message definitions of the newest ROS 2; MissingDependencyError if rosbags is not installed."""
     try:
         import rosbags.rosbag2  # noqa: F401 - for `write_messages`
         from rosbags.typesys import Stores, get_typestore
@@ -154,25 +148,10 @@ def write_messages(
     storage: Storage = "mcap",
     latched: Collection[str] = ("/tf_static",),
 ) -> None:
-    """Make a bag.
+    """Make a folder with a bag of messages, in the order of time, whose types the typestore knows.
 
-    Parameters
-    ----------
-    folder
-        To make; the file in it has its name.
-    messages
-        In the order of time.
-    typestore
-        That knows their types.
-    storage
-        "mcap" or "sqlite3".
-    latched
-        Topics whose last message late listeners get.
-
-    Raises
-    ------
-    InvalidInputError
-        If the storage is another.
+    The file in it has its name. Late listeners get the last message of latched topics. InvalidInputError if the storage
+    is neither "mcap" nor "sqlite3".
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
 

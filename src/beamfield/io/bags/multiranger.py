@@ -69,15 +69,10 @@ class RawDataCollector:
 
 
 def read_rangers(ranges: RawDataCollector, position: RawDataCollector | None) -> tuple[LaserScans, Track | None]:
-    """Return the scans of the four rangers, and the flow odometry if its topic is there.
+    """Return the scans of the four rangers, and the flow odometry if its topic is there; FormatError without messages.
 
     A message of ranges holds four ranges, the height, and the attitude as a quaternion x, y, z, w; one of positions
     begins with x, y. The heading comes from the first, the position is interpolated from the second.
-
-    Raises
-    ------
-    FormatError
-        If there are no messages.
     """
     notes: list[str] = []
     stamps, table = ranges.table(notes)

@@ -241,10 +241,7 @@ class FieldModel(StackModel[P, FieldEvidence], Generic[P]):
     def cell_terms(self, max_range: float) -> CellTerms:
         """Return what `beam_terms` has for an end point in each cell, with the model's own parameters.
 
-        Parameters
-        ----------
-        max_range
-            Of `scan_ends`: the range limit that the program divides by, metres.
+        max_range is that of `scan_ends`.
         """
         table = self._table
         distances = np.append(table.distance.ravel(), table.distance.dtype.type(np.inf))

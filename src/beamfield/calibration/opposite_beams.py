@@ -58,21 +58,10 @@ class OppositeBeams:
 
 
 def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) -> OppositeBeams | None:
-    """Compare sums of opposite beams with the sums of their expected ranges.
+    """Compare sums of opposite beams with the sums of their expected ranges; standard errors are by block of time (n,).
 
-    Parameters
-    ----------
-    log
-        The log that the table was built from; its finder says which beams are opposite.
-    table
-        Beams.
-    blocks
-        (n,) time block of each beam, for the standard errors.
-
-    Returns
-    -------
-    OppositeBeams or None
-        None if the sensor has no opposite beams or too few see a mapped wall.
+    None if the sensor has no opposite beams or too few see a mapped wall. The table was built from the log, whose
+    finder says which beams are opposite.
     """
     first, second = opposite_pairs(log, table)
     n_pairs = len(first)

@@ -45,15 +45,7 @@ class FilterRun:
 
 
 def read_run(path: str | Path) -> FilterRun:
-    """Read the folder that ``beamfield localize`` wrote, or a trajectory alone, of any program.
-
-    Raises
-    ------
-    FormatError
-        As `read_trajectory`, of either file.
-    OSError
-        As the file system says.
-    """
+    """Read the folder that ``beamfield localize`` wrote, or a trajectory alone, of any program."""
     source = Path(path)
     if not source.is_dir():
         return FilterRun(read_trajectory(source), np.empty(0), ())

@@ -41,16 +41,9 @@ def stand_on_faces(signed: FloatArray, walls: Walls) -> bool:
 
 
 def fit_hits(signed: FloatArray, walls: Walls, on_faces: bool) -> HitNoise:
-    """Fit the noise of hits to where end points lie at known poses.
+    """Fit the noise of hits to signed distances (m,) of end points to the middle of the outermost cells.
 
-    Parameters
-    ----------
-    signed
-        (m,) signed distances of end points to the middle of the outermost cells.
-    walls
-        The map's.
-    on_faces
-        Whether hits lie on the faces of walls; if not, they may lie anywhere in the painted cells.
+    Poses are known. Hits lie on the faces of walls, or else anywhere in the painted cells.
     """
     near, reach = _near(signed, walls)
     if not len(near):

@@ -11,20 +11,9 @@ from beamfield.geometry import FloatArray
 
 
 def sample_wrapped(sigma: float, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
-    """Draw angles of a normal with mean 0, cut off at -pi and pi.
+    """Draw angles in [-pi, pi], of this shape, of a normal with mean 0, cut off at -pi and pi.
 
-    Parameters
-    ----------
-    sigma
-        Standard deviation before it is cut, radians.
-    shape
-        Shape of the draws.
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    Radians in [-pi, pi], of that shape.
+    sigma is the standard deviation before it is cut.
     """
     below = float(ndtr(-np.pi / sigma))
     # The lower half alone, with a random sign: ndtri is exact there.

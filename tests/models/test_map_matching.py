@@ -10,6 +10,8 @@ from beamfield.maps.mapping import InverseSensorModel, local_map, scan_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.maps.smoothing import smooth_map
+from beamfield.models.cell_difference import CellDifferenceModel
+from beamfield.models.histogram_matching import HistogramMatchingModel
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan, SensorLog
 from tests.reference.map_matching_slow import correlation, pairs_by_local_cells, pairs_by_map_cells
@@ -180,9 +182,10 @@ def test_fast_sums_equal_plain_sums(rng):
 
 
 @pytest.mark.parametrize("min_overlap", [0.0, -0.1, 1.1, np.nan])
-def test_overlaps_that_are_no_share_are_refused(room, min_overlap):
+@pytest.mark.parametrize("model", [MapMatchingModel, CellDifferenceModel, HistogramMatchingModel])
+def test_overlaps_that_are_no_share_are_refused(room, model, min_overlap):
     with pytest.raises(InvalidInputError, match=r"min_overlap: expected a share in \(0, 1\], got"):
-        MapMatchingModel(room, min_overlap=min_overlap)
+        model(room, min_overlap=min_overlap)
 
 
 def test_kernels_that_make_no_sense_are_refused(room):

@@ -69,23 +69,9 @@ def block_length(stamps: ArrayLike, block_s: float | None) -> float:
 
 
 def held_out_mask(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.bool_]:
-    """Return which stamps are held out: every third block of time, from the second on.
+    """Return which stamps (n,) are held out: every third block of time, from the second on, of `time_blocks`.
 
-    Parameters
-    ----------
-    stamps
-        (n,) seconds.
-    block_s
-        Length of a block, see `time_blocks`.
-
-    Returns
-    -------
-    (n,) bool; none is held out where there are too few blocks.
-
-    Raises
-    ------
-    InvalidInputError
-        If the length is not positive.
+    None is held out where there are too few blocks.
 
     Examples
     --------

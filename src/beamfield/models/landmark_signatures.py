@@ -78,12 +78,7 @@ def _signature_noise(parameters: LandmarkParameters, landmarks: LandmarkMap) -> 
 def sample_signatures(
     which: FloatArray, landmarks: LandmarkMap, parameters: LandmarkParameters, rng: np.random.Generator
 ) -> FloatArray | None:
-    """Draw what landmarks of the map, by index, look like; None if they have no signatures.
-
-    Returns
-    -------
-    (...) numbers or types, or (..., d) vectors.
-    """
+    """Draw what landmarks, by index (...), look like: numbers or types, or (..., d) vectors; None if none do."""
     if landmarks.signatures is None:
         return None
     true = landmarks.signatures[which]

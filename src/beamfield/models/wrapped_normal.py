@@ -24,16 +24,7 @@ def sample_wrapped(sigma: float, shape: tuple[int, ...], rng: np.random.Generato
 
 
 def log_share_on_circle(sigma: float) -> float:
-    """Return the log of the share of a normal of mean 0 that lies in (-pi, pi].
-
-    Parameters
-    ----------
-    sigma
-        Standard deviation, radians.
-
-    Returns
-    -------
-    Nats, at most 0.
+    """Return the log of the share of a normal of mean 0 and standard deviation sigma, radians, that lies in (-pi, pi].
 
     Examples
     --------

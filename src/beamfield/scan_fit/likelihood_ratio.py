@@ -138,16 +138,7 @@ def correlation_time(stamps: ArrayLike, values: ArrayLike) -> float:
 def effective_number(stamps: ArrayLike, correlation_s: float) -> float:
     """Return how many independent values a series is worth, if correlation falls as exp(-dt / correlation_s).
 
-    Parameters
-    ----------
-    stamps
-        (t,) seconds, in any order.
-    correlation_s
-        Seconds; 0 for independent values.
-
-    Returns
-    -------
-    In [1, t]; 0 without values.
+    Stamps (t,) are in any order. The number is in [1, t]; 0 without values, t if correlation_s is 0.
 
     Examples
     --------

@@ -114,8 +114,8 @@ def _run(arguments: argparse.Namespace, command: ModuleType, words: list[Any]) -
 def true_parameters(truth: Mapping[str, Any]) -> dict[str, float]:
     """Return what calibration should find, from the content of a truth.json.
 
-    Its odometry is too long by a scale s; calibration says by how much the truth is longer than odometry, 1 / (1 + s) -
-    1.
+    Its odometry is too long by a scale s; calibration says by how much the truth is longer than odometry:
+    1 / (1 + s) - 1.
     """
     noise = truth["odometry_noise"]
     scales = {name: 1.0 / (1.0 + noise[name]) - 1.0 for name in ("distance_scale", "turn_scale")}

@@ -256,7 +256,10 @@ def changed_site(size: FleetSize, site: Site) -> tuple[OccupancyGrid, tuple[Chan
 
 
 def simulate_drive(plan: FleetPlan, number: int, day: int) -> tuple[ScanLog, FloatArray]:
-    """Return what a robot records on a day, with odometry but without poses, and its true poses (t, 3); both from 0."""
+    """Return what a robot records on a day, with odometry but without poses, and its true poses (t, 3).
+
+    Robots and days are counted from 0.
+    """
     size, robot = plan.size, plan.robots[number]
     site = plan.sites[robot.site]
     is_changed = site.changed_since is not None and day >= site.changed_since

@@ -193,20 +193,9 @@ class Timeline:
 
 
 def timeline(table: BeamTable, parameters: BeamParameters, held_out: NDArray[np.bool_]) -> Timeline:
-    """Return how well each scan fits.
+    """Return how well each scan with a beam whose ray hits something fits, in the order of the log.
 
-    Parameters
-    ----------
-    table
-        Beams; those whose ray hits nothing are left out.
-    parameters
-        The model.
-    held_out
-        (n,) whether each beam was held out.
-
-    Returns
-    -------
-    One entry per scan with a beam whose ray hits something, in the order of the log.
+    `held_out` (n,) says whether each beam was held out; those whose ray hits nothing do not count.
     """
     rows = ~table.hits_nothing
     used = table.select(rows)

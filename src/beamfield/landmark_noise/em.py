@@ -119,18 +119,8 @@ class NoiseLikelihood:
     def m_step(self, theta: NoiseTheta, of_landmark: FloatArray, weights: FloatArray) -> NoiseTheta:
         """Return the parameters that maximise the expected log-likelihood; never less likely than `theta`.
 
-        Parameters
-        ----------
-        theta
-            Where the responsibilities come from.
-        of_landmark
-            (n,) responsibilities of the landmarks, from `e_step`.
-        weights
-            (n,) how often each sighting counts.
-
-        Returns
-        -------
-        The new parameters; what is held stays.
+        What is held stays. `of_landmark` (n,) are the responsibilities of the landmarks, from `e_step` at theta;
+        weights (n,) say how often each sighting counts.
         """
         w = of_landmark * weights
         rate = theta.spurious_rate

@@ -74,10 +74,7 @@ class FittedPoses:
     def findings(self, measured: str = "") -> tuple[Finding, ...]:
         """Return where the poses come from and what that hides, and what was found on the way.
 
-        Parameters
-        ----------
-        measured
-            What was measured about it, in sentences.
+        `measured` says in sentences what was measured about it.
         """
         share = self.n_trusted / len(self.log)
         values = {"n_scans": float(len(self.log)), "n_trusted": float(self.n_trusted), "share_trusted": share,

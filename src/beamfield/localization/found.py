@@ -44,21 +44,10 @@ def time_to_find(replay: Replay, log: SensorLog, first: int = 0) -> float | None
 
 @checked
 def kidnapped(log: SensorLog) -> tuple[SensorLog, int]:
-    """Return a log in which the robot is carried elsewhere: the middle is cut out and odometry does not notice.
+    """Return a log in which the robot is carried elsewhere, and the number of the first scan after that.
 
-    Parameters
-    ----------
-    log
-        With odometry.
-
-    Returns
-    -------
-    The log, and the number of the first scan after the kidnapping.
-
-    Raises
-    ------
-    TooLittleDataError
-        If fewer than two scans on a side of the cut have odometry.
+    The middle is cut out and odometry does not notice. TooLittleDataError if fewer than two scans on a side of the cut
+    have odometry.
     """
     usable = np.flatnonzero(np.isfinite(log.odometry).all(axis=1))
     before = round(0.5 * (1.0 - CUT_SHARE) * len(usable))

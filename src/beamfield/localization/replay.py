@@ -137,16 +137,9 @@ class ReplayedFilter(Protocol):
     """A filter that can be replayed."""
 
     def run(self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator) -> Replay:
-        """Filter a log.
+        """Filter a log with odometry, whose reference poses are not looked at.
 
-        Parameters
-        ----------
-        log
-            With odometry; the reference poses are not looked at.
-        start
-            Where the robot is at the first scan; None if it can be anywhere on the map.
-        rng
-            Source of all randomness.
+        The start is where the robot is at the first scan; None if it can be anywhere on the map.
         """
         ...
 

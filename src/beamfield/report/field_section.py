@@ -34,15 +34,7 @@ def field_tables(learned: FieldLearning, *, width: int | None = None) -> str:
 
 
 def field_section(learned: FieldLearning, file_text: str) -> PageSection:
-    """Return the section of the report.
-
-    Parameters
-    ----------
-    learned
-        The result of `learn_field_parameters`.
-    file_text
-        The parameter file.
-    """
+    """Return the section of the report, which holds the parameter file."""
     markup = (
         f"{table(PARAMETER_HEADER, _parameter_rows(learned), right=(1,), css='parameters')}"
         f"<p>For <code>LikelihoodFieldModel</code> with {learned.n_beams} beams of each scan. z_hit, z_rand and "

@@ -51,15 +51,7 @@ def stack_tables(result: StackResult, *, width: int | None) -> str:
 
 
 def stack_section(result: StackResult, file_text: str) -> PageSection:
-    """Return the section of the report, which answers what was asked for: it opens the page.
-
-    Parameters
-    ----------
-    result
-        What was found.
-    file_text
-        The parameter file.
-    """
+    """Return the section of the report, with the parameter file; it answers what was asked for and opens the page."""
     fits, chosen, replay = result.fits, result.chosen, result.replay
     stack, model = chosen.model.stack, chosen.model.model
     rows = [row for fit in fits for row in _score_rows(fit, result.trial)]

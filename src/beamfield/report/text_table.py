@@ -98,16 +98,9 @@ def plus_minus(value: float, standard_error: float, *, sign: bool = False) -> st
 def aligned(
     header: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, right: tuple[int, ...], width: int | None = None
 ) -> str:
-    """Return rows under a header, columns padded to their widest cell.
+    """Return rows under a header, columns padded to their widest cell, those of `right` aligned to the right.
 
-    Parameters
-    ----------
-    header, rows
-        Cells of text, as many in each row.
-    right
-        Indices of the columns that are aligned to the right.
-    width
-        Characters in a line: headers are broken to fit, and the last column, if it has room for words at all.
+    In lines of `width` characters, headers are broken to fit, and the last column, if it has room for words at all.
     """
     above, below = [header], list(rows)
     if width is not None:

@@ -64,22 +64,7 @@ class FitStatistics:
         return len(self.surprise)
 
     def select(self, scans: ArrayLike) -> FitStatistics:
-        """Return the statistics of the given scans, in the given order.
-
-        Parameters
-        ----------
-        scans
-            Indices, or a mask (t,).
-
-        Returns
-        -------
-        The statistics.
-
-        Raises
-        ------
-        InvalidInputError
-            If the choice is neither indices that are there nor a mask of the right length.
-        """
+        """Return the statistics of the given scans, indices or a mask (t,), in the given order."""
         return subset_of(self, scans, len(self), "scans", [item.name for item in fields(self)])
 
 

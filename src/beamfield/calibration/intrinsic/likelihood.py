@@ -152,17 +152,10 @@ class IntrinsicLikelihood:
         return other
 
     def thinned(self, n: int) -> IntrinsicLikelihood:
-        """Return some of the beams, evenly spread over the expected ranges.
+        """Return about n of the beams, never fewer, evenly spread over the expected ranges.
 
-        Parameters
-        ----------
-        n
-            About how many; never fewer.
-
-        Returns
-        -------
-        A likelihood whose readings at maximum range count in proportion, on the CPU; self where there are fewer than
-        2 n beams with a return.
+        It is a likelihood on the CPU whose readings at maximum range count in proportion; self where there are fewer
+        than 2 n beams with a return.
         """
         stride = int(self.ranges.size // max(n, 1))
         if stride < 2:
@@ -223,16 +216,9 @@ class IntrinsicLikelihood:
         )
 
     def derivatives(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the log-likelihood and its derivatives, the weights taken as independent.
+        """Return the log-likelihood, nats summed over beams, its gradient (8,) and its Hessian (8, 8) at theta (8,).
 
-        Parameters
-        ----------
-        theta
-            (8,) working vector.
-
-        Returns
-        -------
-        Nats, summed over beams; gradient (8,); Hessian (8, 8).
+        The weights are taken as independent.
         """
         bins = self._cut(theta)
         n = kernels.N_DERIVATIVES

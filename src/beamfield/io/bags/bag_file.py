@@ -177,11 +177,8 @@ class BagFile:
     def messages(self, topics: Iterable[str]) -> Iterator[BagMessage]:
         """Yield the messages of some topics.
 
-        Raises
-        ------
-        FormatError
-            If the bag is damaged (topic and message number are named), the file ends early, or a topic has messages of
-            several types.
+        FormatError if the bag is damaged (topic and message number are named), the file ends early, or a topic has
+        messages of several types.
         """
         wanted = set(topics)
         connections = [c for c in self._reader.connections if c.topic in wanted]

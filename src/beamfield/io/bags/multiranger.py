@@ -45,13 +45,7 @@ class RawDataCollector:
     _rows: list[list[float]] = field(default_factory=list)
 
     def add(self, message: BagMessage) -> None:
-        """Add one message.
-
-        Raises
-        ------
-        FormatError
-            If it holds too few numbers, or one that is not finite.
-        """
+        """Add one message; FormatError if it holds too few numbers, or one that is not finite."""
         # Damaged messages may hold signalling NaNs, of which NumPy would warn.
         with np.errstate(invalid="ignore"):
             raw = np.asarray(message.content.raw, dtype=np.float64)[: self.width]

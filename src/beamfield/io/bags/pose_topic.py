@@ -66,16 +66,8 @@ class PoseTopicCollector:
     def track(self, notes: list[str]) -> Track:
         """Return the poses in the plane, sorted by time; where stamps are equal the last one counts.
 
-        Parameters
-        ----------
-        notes
-            Where to add a note.
-
-        Raises
-        ------
-        FormatError
-            If a pose is not finite, its quaternion is not of length 1, or the stamps go backwards; the topic and the
-            message's number are named.
+        FormatError names topic and message if a pose is not finite, its quaternion is not of length 1, or the stamps go
+        backwards.
         """
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 7)
         self._check(rows)

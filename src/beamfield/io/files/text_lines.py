@@ -113,10 +113,7 @@ class Line(NamedTuple):
     def numbers(self, start: int = 1, stop: int | None = None, field: str | None = None) -> FloatArray:
         """Return words [start, stop) as numbers; "nan" and "inf" are numbers.
 
-        Raises
-        ------
-        FormatError
-            If a word is not a number; it is quoted, after the message's name if no other `field` is given.
+        FormatError quotes a word that is none, after the message's name if no other `field` is given.
         """
         words = self.words[start:stop]
         try:
@@ -139,13 +136,7 @@ class Line(NamedTuple):
         return self._replace(words=[self.words[i] for i in indices])
 
     def count(self, index: int) -> int:
-        """Return a word as a count of readings.
-
-        Raises
-        ------
-        FormatError
-            If it is not a whole number >= 0, or the line ends before it.
-        """
+        """Return a word as a count of readings; FormatError if it is no whole number >= 0 or not there."""
         if index >= len(self.words):
             raise self.error(f"the line is truncated after {len(self.words)} words", self.words[0])
         word = self.words[index]

@@ -136,19 +136,10 @@ class StackModel(ABC, Generic[P, E]):
 
     @abstractmethod
     def evidence(self, z: Scan, poses: ArrayLike) -> E:
-        """Return what the weights of one scan at n poses depend on beside the free parameters.
+        """Return what the weights of one scan at poses (..., 3) depend on beside the free parameters.
 
-        Parameters
-        ----------
-        z
-            The scan, with all its beams; the stack's own selection applies.
-        poses
-            (..., 3) robot poses, metres and radians; n of them.
-
-        Raises
-        ------
-        InvalidInputError
-            If the poses are not finite, or the program itself would not return.
+        The stack's own selection of beams applies. InvalidInputError if the poses are not finite, or the program itself
+        would not return.
         """
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Time the beam model, in ns per pose x beam, beside the same mixture written with NumPy and beside limit.cpp.
+"""Time the mixture of the beam model for given ranges, in ns per pose x beam, beside the same written with NumPy.
 
 Run: python benchmarks/beam_model.py
 """
@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.special import erf
 
-import limit
 from beamfield.kernels.many_beams import fill_scan_log_likelihood
 from beamfield.kernels.threads import set_threads
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam import BeamModel, beam_log_density, beam_responsibilities, sample_beams
 from beamfield.models.beam_density import as_view
 from beamfield.models.beam_parameters import BeamParameters
@@ -37,11 +35,8 @@ def run() -> list[dict[str, Any]]:
     truth = np.array([25.0, 25.0, 0.3])
     model = BeamModel(grid, PARAMETERS)
     scan = model.sample(truth, finder, rng)[0]
-    rows: list[dict[str, Any]] = []
-    for name, poses in {"track": near(truth, rng), "global": anywhere(grid, rng)}.items():
-        rows += given_ranges(name, scan, model.expected(poses, finder))
-        rows += end_to_end(name, grid, scan, poses)
-    return rows + large_scan(grid, truth, rng)
+    places = {"track": near(truth, rng), "global": anywhere(grid, rng)}
+    return [row for name, poses in places.items() for row in given_ranges(name, scan, model.expected(poses, finder))]
 
 
 def main() -> None:
@@ -62,52 +57,19 @@ def given_ranges(name: str, scan: Scan, expected: np.ndarray) -> list[dict[str, 
     np.testing.assert_allclose(fused(), closed_form, atol=1e-9)
     baseline = least_ns(lambda: numpy_log_likelihood(scan.ranges, expected), expected.size)
     timings = {
-        "NumPy closed form, given ranges": baseline,
-        "sum of log densities, given ranges": least_ns(fused, expected.size),
-        "log density per beam, given ranges": least_ns(
+        "NumPy closed form": baseline,
+        "sum of log densities": least_ns(fused, expected.size),
+        "log density per beam": least_ns(
             lambda: beam_log_density(scan.ranges, expected, MAX_RANGE, PARAMETERS), expected.size
         ),
-        "responsibilities, given ranges": least_ns(
+        "responsibilities": least_ns(
             lambda: beam_responsibilities(scan.ranges, expected, MAX_RANGE, PARAMETERS), expected.size
         ),
-        "drawing samples, given ranges": least_ns(
+        "drawing samples": least_ns(
             lambda: sample_beams(expected, MAX_RANGE, PARAMETERS, np.random.default_rng(1)), expected.size
         ),
     }
     return [row(what, name, len(expected), 1, ns, baseline) for what, ns in timings.items()]
-
-
-def end_to_end(name: str, grid: OccupancyGrid, scan: Scan, poses: np.ndarray) -> list[dict[str, Any]]:
-    """Time ray casting and mixture together, as a particle filter would call them."""
-    model, caster, n = BeamModel(grid, PARAMETERS), RayCaster(grid), len(poses) * N_BEAMS
-    calls: dict[str, Callable[[], Any]] = {
-        "ray casting": lambda: caster.expected_ranges(poses, scan.finder),
-        "ray casting and mixture": lambda: model.log_likelihood(scan, poses),
-    }
-    limits = {
-        "ray casting": limit.cast(caster, poses, scan.finder),
-        "ray casting and mixture": limit.beam(caster, poses, scan, PARAMETERS),
-    }
-    rows = []
-    for what, call in calls.items():
-        by_hand = limits[what]
-        if by_hand is None:
-            ns, least = least_ns(call, n), None
-        else:
-            ns, least = (seconds / n * 1e9 for seconds in least_in_turn([call, by_hand]))
-        rows.append(row(what, name, len(poses), 1, ns, None) | {"of the limit": limit.ratio(ns, least)})
-    return rows
-
-
-def large_scan(grid: OccupancyGrid, truth: np.ndarray, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Time one call with 180 beams at 20,000 poses."""
-    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 180, endpoint=False), MAX_RANGE)
-    model = BeamModel(grid, PARAMETERS)
-    scan = model.sample(truth, finder, rng)[0]
-    poses = near(truth, rng, 20_000)
-    with set_threads(None):
-        ns = least_ns(lambda: model.log_likelihood(scan, poses), len(poses) * 180, time.perf_counter_ns)
-    return [row("ray casting and mixture, 180 beams", "track", len(poses), "all", ns, None)]
 
 
 def numpy_log_likelihood(ranges: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -162,35 +124,18 @@ def row(what: str, poses: str, n: int, threads: int | str, ns: float, baseline: 
         "threads": threads,
         "ns per pose x beam": round(ns, 1),
         "times NumPy": faster,
-        "of the limit": "",
     }
 
 
-def least_ns(
-    call: Callable[[], object], n: int, clock: Callable[[], int] = time.thread_time_ns, repeats: int = 15
-) -> float:
-    """Return the least time of a call over n pairs in ns each, after one to compile: other programs only add to it.
-
-    By the thread's processor time, or another clock.
-    """
+def least_ns(call: Callable[[], object], n: int, repeats: int = 15) -> float:
+    """Return the least processor time of a call over n pairs in ns each, after one to compile."""
     call()
     times = []
     for _ in range(repeats):
-        start = clock()
+        start = time.thread_time_ns()
         call()
-        times.append((clock() - start) / n)
+        times.append((time.thread_time_ns() - start) / n)
     return min(times)
-
-
-def least_in_turn(calls: list[Callable[[], object]], repeats: int = 25) -> list[float]:
-    """Return the least processor seconds of calls that take turns, after one round to compile."""
-    seconds: list[list[float]] = [[] for _ in calls]
-    for _ in range(repeats + 1):
-        for times, call in zip(seconds, calls, strict=True):
-            start = time.thread_time()
-            call()
-            times.append(time.thread_time() - start)
-    return [min(times[1:]) for times in seconds]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Time the likelihood field, in ns per pose x beam, beside the same look-ups written with NumPy in single precision.
+"""The likelihood field's look-ups written with NumPy in single precision, for `make bench`, and its gradient's time.
 
 Run: python benchmarks/likelihood_field.py
 """
@@ -6,6 +6,7 @@ Run: python benchmarks/likelihood_field.py
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,56 +27,25 @@ PARAMETERS = LikelihoodFieldParameters.from_beam_parameters(BEAM_PARAMETERS)
 
 
 def run() -> list[dict[str, Any]]:
-    """Return one row per measurement: what, poses, threads, ns per pose x beam, times faster than NumPy."""
+    """Return one row of the gradient per pattern of poses."""
     rng = np.random.default_rng(7)
     grid = office(rng)
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
     truth = np.array([25.0, 25.0, 0.3])
     scan = BeamModel(grid, BEAM_PARAMETERS).sample(truth, finder, rng)[0]
-    rows: list[dict[str, Any]] = []
-    for n in (2_000, 20_000, 200_000):
-        for name, poses in {"track": near(truth, rng, n), "global": anywhere(grid, rng, n)}.items():
-            rows += whole_calls(name, grid, scan, poses)
-    # As in climbing.
-    return rows + interpolated_calls("track", grid, scan, truth[None])
+    model = LikelihoodFieldModel(grid, PARAMETERS, interpolation="bilinear")
+    patterns = {"one, as in climbing": truth[None], "track": near(truth, rng), "global": anywhere(grid, rng)}
+    rows = []
+    for name, poses in patterns.items():
+        call = partial(model.log_likelihood_gradient, scan, poses)
+        ns = least_ns(call, len(poses) * N_BEAMS, repeats=max(15, 200_000 // len(poses)))
+        rows.append(row("gradient, bilinear", name, len(poses), 1, ns, None))
+    return rows
 
 
 def main() -> None:
     """Print the rows as a Markdown table."""
     print_table(run())
-
-
-def whole_calls(name: str, grid: OccupancyGrid, scan: Scan, poses: np.ndarray) -> list[dict[str, Any]]:
-    """Time whole calls of the model, as a particle filter would make them, and check them against each other."""
-    n, pairs = len(poses), len(poses) * scan.finder.n_beams
-    reference = numpy_model(grid)
-    baseline = least_ns(lambda: reference(scan, poses), pairs)
-    rows = [row("NumPy float32, nearest", name, n, 1, baseline, baseline)]
-    model = LikelihoodFieldModel(grid, PARAMETERS)
-    # A few end points in a million read another cell.
-    apart = np.abs(model.log_likelihood(scan, poses) - reference(scan, poses))
-    assert np.median(apart) < 1e-3
-    # Many short calls: the caches take some to fill.
-    ns = least_ns(lambda: model.log_likelihood(scan, poses), pairs, repeats=max(51, 2_000_000 // n))
-    rows.append(row("nearest", name, n, 1, ns, baseline))
-    return rows + interpolated_calls(name, grid, scan, poses)
-
-
-def interpolated_calls(name: str, grid: OccupancyGrid, scan: Scan, poses: np.ndarray) -> list[dict[str, Any]]:
-    """Time values and gradients by interpolated distance."""
-    n, pairs = len(poses), len(poses) * scan.finder.n_beams
-    reference = numpy_interpolated(grid)
-    baseline = least_ns(lambda: reference(scan, poses), pairs)
-    rows = [row("NumPy float32, bilinear", name, n, 1, baseline, baseline)]
-    model = LikelihoodFieldModel(grid, PARAMETERS, interpolation="bilinear")
-    apart = np.abs(model.log_likelihood(scan, poses) - reference(scan, poses))
-    assert np.median(apart) < 1e-2
-    repeats = max(15, 200_000 // n)
-    ns = least_ns(lambda: model.log_likelihood(scan, poses), pairs, repeats=repeats)
-    rows.append(row("bilinear", name, n, 1, ns, baseline))
-    ns = least_ns(lambda: model.log_likelihood_gradient(scan, poses), pairs, repeats=repeats)
-    rows.append(row("gradient, bilinear", name, n, 1, ns, None))
-    return rows
 
 
 def numpy_model(grid: OccupancyGrid) -> Callable[[Scan, np.ndarray], np.ndarray]:

@@ -65,18 +65,7 @@ def checked(function: F) -> F:
 
 
 def check_fields(instance: Any) -> None:
-    """Raise if a field of a dataclass does not match its annotation.
-
-    Parameters
-    ----------
-    instance
-        The dataclass, in its `__post_init__`.
-
-    Raises
-    ------
-    InvalidInputError
-        If one does not.
-    """
+    """Raise InvalidInputError if a field of a dataclass, in its `__post_init__`, does not match its annotation."""
     for name, default, hint, test in _checks(instance.__class__):
         value = getattr(instance, name, default)
         if value is not default and not test(value):
@@ -136,38 +125,14 @@ def as_count(value: Any, name: str, *, least: int, most: int | None = None) -> i
 
 
 def as_generator(rng: np.random.Generator | int | None) -> np.random.Generator:
-    """Return a source of randomness.
-
-    Parameters
-    ----------
-    rng
-        One; a seed, at least 0; or None for other numbers each time.
-
-    Raises
-    ------
-    InvalidInputError
-        If it is none of these.
-    """
+    """Return a source of randomness: one, a seed of at least 0, or None for other numbers each time."""
     if rng is None or isinstance(rng, np.random.Generator):
         return np.random.default_rng(rng)
     return np.random.default_rng(as_count(rng, "rng", least=0))
 
 
 def require(condition: object, name: str, expected: str, got: object) -> None:
-    """Raise unless a condition holds.
-
-    Parameters
-    ----------
-    condition
-        What must be true of the argument.
-    name, expected, got
-        Of the argument: its name, what it should be, and what it is (a text is shown in quotes).
-
-    Raises
-    ------
-    InvalidInputError
-        ``name: expected expected, got got``.
-    """
+    """Raise unless a condition holds: ``name: expected expected, got got``, a text in quotes."""
     if not condition:
         raise InvalidInputError(f"{name}: expected {expected}, got {repr(got) if isinstance(got, str) else got}")
 
@@ -181,13 +146,7 @@ def keep(instance: object, **values: object) -> None:
 
 
 def check_magnitude(name: str, sigma: float) -> None:
-    """Refuse a standard deviation whose density cannot be computed.
-
-    Raises
-    ------
-    InvalidInputError
-        If it is not from 1e-12 to 1e9.
-    """
+    """Refuse a standard deviation whose density cannot be computed: it has to be from 1e-12 to 1e9."""
     require(SMALLEST <= sigma <= LARGEST, name, f"a positive number from {SMALLEST:g} to {LARGEST:g}", sigma)
 
 

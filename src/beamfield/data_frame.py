@@ -12,13 +12,7 @@ from beamfield.errors import MissingDependencyError
 
 
 def data_frame(columns: Mapping[str, NDArray[Any]]) -> Any:
-    """Return columns of one length as a DataFrame.
-
-    Raises
-    ------
-    MissingDependencyError
-        If pandas is not installed.
-    """
+    """Return columns of one length as a DataFrame; MissingDependencyError if pandas is not installed."""
     try:
         pandas = import_module("pandas")
     except ImportError as error:

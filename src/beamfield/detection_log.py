@@ -84,22 +84,7 @@ class DetectionLog:
         return np.array([seen.stamp for seen in self.detections], dtype=np.float64)
 
     def subset(self, observations: ArrayLike) -> DetectionLog:
-        """Return only the given observations, in the log's order.
-
-        Parameters
-        ----------
-        observations
-            Indices, or a mask (t,).
-
-        Returns
-        -------
-        The log with the same notes.
-
-        Raises
-        ------
-        InvalidInputError
-            If the choice is neither indices that are there nor a mask of the right length.
-        """
+        """Return only the given observations, indices or a mask (t,), in the log's order, with the same notes."""
         chosen = np.sort(as_indices(observations, len(self), "observations"))
         detections, places = tuple(self.detections[i] for i in chosen), self.places
         places = None if places is None else places[chosen]
@@ -109,25 +94,11 @@ class DetectionLog:
 def group_detections(
     observation: ArrayLike, stamps: ArrayLike, ranges: ArrayLike, bearings: ArrayLike, ids: ArrayLike
 ) -> tuple[Detections, ...]:
-    """Return one `Detections` per observation from columns with one row per feature.
+    """Return one `Detections` per observation from columns (n,) with one row per feature.
 
-    Parameters
-    ----------
-    observation
-        (n,) index of the observation that each feature belongs to, in any order; features keep theirs.
-    stamps
-        (t,) seconds, one per observation; those without a feature get an empty one.
-    ranges, bearings, ids
-        (n,) as in `Detections`.
-
-    Returns
-    -------
-    t observations.
-
-    Raises
-    ------
-    InvalidInputError
-        If an index is not in [0, t), or a value is not what `Detections` takes.
+    `observation` is the index that each feature belongs to, in any order; features keep theirs. Stamps are (t,), one
+    per observation; those without a feature get an empty one. InvalidInputError if an index is not in [0, t), or a
+    value is not what `Detections` takes.
     """
     index, times = np.asarray(observation, dtype=np.int64), np.asarray(stamps, dtype=np.float64)
     if index.size and not 0 <= index.min() <= index.max() < len(times):

@@ -121,13 +121,7 @@ class Detections:
 
 
 def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
-    """Return n ids as read-only integers; raise if they are not valid.
-
-    Raises
-    ------
-    InvalidInputError
-        If they are not whole numbers, not n of them, or one is below `lowest`.
-    """
+    """Return n ids as read-only integers; raise if they are not n whole numbers, at least `lowest`."""
     given = np.asarray(ids)
     require(given.shape == (n,), "ids", f"shape ({n},)", given.shape)
     require(not given.size or given.dtype.kind in "iu", "ids", "whole numbers", given.dtype)
@@ -141,10 +135,7 @@ def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
 def finite_copy(values: ArrayLike, name: str) -> FloatArray:
     """Return numbers as a read-only copy that nobody else can change.
 
-    Raises
-    ------
-    InvalidInputError
-        If one is not finite, or so large that sums overflow (beyond 1e9); it is named with its index.
+    InvalidInputError names one, with its index, that is not finite, or so large that sums overflow (beyond 1e9).
     """
     array = np.array(values, dtype=np.float64)
     usable = np.abs(array) <= LARGEST

@@ -62,13 +62,7 @@ def as_pose(pose: ArrayLike, name: str = "pose") -> FloatArray:
 
 
 def as_unchecked_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
-    """Do as `as_poses` where a kernel tells whether the numbers are finite: looking twice takes 3 us for 2000 poses.
-
-    Raises
-    ------
-    InvalidInputError
-        If the last axis is not 3 long.
-    """
+    """Do as `as_poses` where a kernel tells whether the numbers are finite: looking twice takes 3 us for 2000 poses."""
     return _rows(poses, 3, name)
 
 

@@ -62,22 +62,7 @@ def as_indices(choice: ArrayLike, n: int, name: str) -> NDArray[np.int64]:
 
 
 def subset_of(table: Table, choice: ArrayLike, n: int, name: str, columns: Sequence[str]) -> Table:
-    """Return a dataclass with only the chosen rows of its columns; a column that is None stays None.
-
-    Parameters
-    ----------
-    table
-        The dataclass.
-    choice, n, name
-        As for `as_indices`.
-    columns
-        Its fields of n rows.
-
-    Raises
-    ------
-    InvalidInputError
-        As for `as_indices`.
-    """
+    """Return a dataclass with only the rows of its columns that `as_indices` allows; a column of None stays None."""
     chosen = as_indices(choice, n, name)
     values = {column: getattr(table, column) for column in columns}
     kept = {column: None if value is None else value[chosen] for column, value in values.items()}

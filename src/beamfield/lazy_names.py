@@ -12,14 +12,7 @@ def lazy_names(
 ) -> tuple[list[str], Callable[[str], object], Callable[[], list[str]]]:
     """Return what a package calls ``__all__``, ``__getattr__`` and ``__dir__``.
 
-    Parameters
-    ----------
-    package
-        Its name.
-    names
-        The names by the module within the package that holds them.
-    modules
-        Modules that are offered themselves.
+    Names are by the module within the package that holds them; modules are offered themselves.
     """
     homes = {name: module for module, held in names.items() for name in held}
     offered = [*homes, *modules]

@@ -75,20 +75,10 @@ def draw_map(grid: OccupancyGrid, ax: Axes) -> Axes:
 def draw_cells(
     kinds: NDArray[np.uint8], resolution: float, origin: FloatArray, ax: Axes, *, colours: Sequence[str] = MAP_COLOURS
 ) -> AxesImage:
-    """Draw cells of three categories at their place in the map frame; the axes' limits are left to the caller.
+    """Draw cells (rows, cols) as from `categories` at their place in the map frame; limits are left to the caller.
 
-    Parameters
-    ----------
-    kinds
-        (rows, cols) as from `categories`, row 0 lowest.
-    resolution
-        Side of a cell, metres.
-    origin
-        (3,) pose of the lower-left corner.
-    ax
-        Where to draw.
-    colours
-        Of free, unknown and occupied cells.
+    The resolution is in metres, the origin the pose (3,) of the lower-left corner; colours are of free, unknown and
+    occupied cells.
     """
     from matplotlib.colors import ListedColormap
 
@@ -102,24 +92,9 @@ def categories(grid: OccupancyGrid, step: int = 1) -> NDArray[np.uint8]:
 
 
 def draw_array(values: ArrayLike, resolution: float, origin: FloatArray, ax: Axes, **options: Any) -> AxesImage:
-    """Draw an array of cells at its place in the map frame.
+    """Draw an array (rows, cols), row 0 lowest, at its place in the map frame; masked cells are left out.
 
-    Parameters
-    ----------
-    values
-        (rows, cols), row 0 lowest; masked cells are left out.
-    resolution
-        Side of a cell, metres.
-    origin
-        (3,) pose of the lower-left corner.
-    ax
-        Where to draw.
-    **options
-        For `imshow`.
-
-    Returns
-    -------
-    The image.
+    The resolution is in metres, the origin the pose (3,) of the lower-left corner; options are for `imshow`.
     """
     from matplotlib.transforms import Affine2D
 

@@ -42,21 +42,6 @@ def test_shapes_maximise_the_likelihood_of_the_cut_densities():
     assert got.weights == pytest.approx(np.bincount(causes) / z.size, abs=1e-15)
 
 
-def test_offset_and_slope_maximise_too():
-    z, expected, causes = labelled_beams()
-    keep = causes == 0
-    z, expected, causes = z[keep], expected[keep], causes[keep]
-    got = learn_from_known_causes(z, expected, causes, MAX_RANGE, fit_offset=True, fit_sigma_slope=True)
-
-    def loss(x):
-        sigma, mean = np.hypot(x[0], x[1] * expected), expected + x[2]
-        return -stats.truncnorm.logpdf(z, -mean / sigma, (MAX_RANGE - mean) / sigma, mean, sigma).mean()
-
-    best = optimize.minimize(loss, [0.3, 0.02, 0.01], method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-13})
-    assert loss([got.sigma_hit, got.sigma_slope, got.range_offset]) <= best.fun + 1e-9
-    assert got.range_offset == pytest.approx(best.x[2], abs=2e-4)
-
-
 def test_closed_form_is_the_chapters():
     z, expected, causes = labelled_beams()
     got = learn_from_known_causes(z, expected, causes, MAX_RANGE, closed_form=True)
@@ -94,11 +79,6 @@ def test_no_shorts_give_rate_zero():
 def test_impossible_input_is_named(z, expected, causes, text):
     with pytest.raises(InvalidInputError, match=text):
         learn_from_known_causes(z, expected, causes, MAX_RANGE)
-
-
-def test_closed_form_knows_no_offset():
-    with pytest.raises(InvalidInputError, match="closed_form"):
-        learn_from_known_causes([1.0], [1.0], [0], MAX_RANGE, closed_form=True, fit_offset=True)
 
 
 def test_without_hits_there_is_no_sigma():

@@ -197,6 +197,14 @@ def test_models_and_options_are_taken(folder, capsys, words):
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_a_field_from_a_beam_model_says_what_it_leaves_out(folder, tmp_path, capsys, drive, truth):
+    path = tmp_path / "beam_model.yaml"
+    path.write_text(beam_model_text(replace(truth, range_offset=0.03), drive.finder))
+    assert run(folder, "--particles", "300", "--params", str(path)) == 0
+    assert "beam_model.yaml has range_offset 0.03, which a likelihood field cannot have" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_a_file_of_a_stack_runs_that_stacks_filter(folder, capsys):
     words = ("--params", "nav2.yaml", "--rerun", "way.rrd", "--mcap", "way.mcap")
     assert run(folder, *words, "--json", "-q", "--seed", "3") == 0

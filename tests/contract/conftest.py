@@ -288,7 +288,7 @@ CASES = [
             for how in ("nearest", "sum", "assignment")
             for rate in (0.2, 0.0)
         ),
-        measurements=(FEATURES.without_ids(), FEATURES),
+        measurements=(FEATURES.without_ids(), FEATURES, Detections([], [])),
     ),
     Case(
         name="lines",
@@ -312,7 +312,7 @@ CASES = [
             for how in ("nearest", "sum", "assignment")
             for rate, overlap in ((0.2, 0.5), (0.0, None))
         ),
-        measurements=(LINES.without_ids(), LINES),
+        measurements=(LINES.without_ids(), LINES, LineDetections([])),
     ),
     Case(
         name="ceiling marker",
@@ -354,6 +354,11 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 @pytest.fixture(params=[case for case in CASES if case.name.endswith("of unknown id")], ids=str)
 def of_unknown_id(request: pytest.FixtureRequest) -> Case:
+    return request.param
+
+
+@pytest.fixture(params=[case for case in CASES if any("exponent" in options for options in case.options)], ids=str)
+def with_exponent(request: pytest.FixtureRequest) -> Case:
     return request.param
 
 

@@ -13,6 +13,8 @@ from scipy import stats
 from beamfield.detections import UNKNOWN
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import Scan
 from tests.contract.conftest import POSES
 from tests.threads import forced_threads
 
@@ -52,6 +54,33 @@ def test_never_nan_and_never_plus_infinity(case):
             values = model.log_likelihood(z, POSES)
             assert not np.isnan(values).any()
             assert (values < np.inf).all()
+
+
+def test_beams_or_features_sum_to_the_whole(case):
+    for options in case.options:
+        model = case.build(**options)
+        parts = getattr(model, "beam_log_likelihood", None) or getattr(model, "detection_log_likelihood", None)
+        if parts is None:
+            continue
+        for z in case.measurements:
+            each, n = parts(z, POSES), len(z.ranges) if isinstance(z, Scan) else len(z)
+            assert each.shape == (len(POSES), n)
+            np.testing.assert_allclose(each.sum(axis=-1), model.log_likelihood(z, POSES), rtol=1e-12)
+
+
+def test_a_measurement_of_nothing_says_nothing(case):
+    maps_aside = [z for z in case.measurements if not isinstance(z, OccupancyGrid)]
+    empty = [z for z in maps_aside if (np.isnan(z.ranges).all() if isinstance(z, Scan) else not len(z))]
+    assert empty
+    for options in case.options:
+        for z in empty:
+            assert not case.build(**options).log_likelihood(z, POSES).any()
+
+
+def test_an_exponent_scales_the_logarithm(with_exponent):
+    for z in with_exponent.measurements:
+        plain, tempered = (with_exponent.build(exponent=x).log_likelihood(z, POSES) for x in (1.0, 0.25))
+        assert (tempered == 0.25 * plain).all()
 
 
 def test_poses_that_are_no_numbers_are_an_error(case):
@@ -162,9 +191,6 @@ def test_what_a_model_can_do_is_seen_from_its_methods(case):
     if "match" in case.name or "field" in case.name:
         assert not hasattr(model, "sample")
         assert not hasattr(model, "expected")
-    if hasattr(model, "beam_log_likelihood"):
-        z, poses = case.measurements[0], POSES
-        assert model.beam_log_likelihood(z, poses).shape[:-1] == (len(poses),)
     if hasattr(model, "expected"):
         assert len(model.expected(POSES)) == len(POSES)
 

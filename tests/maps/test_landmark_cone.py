@@ -10,7 +10,6 @@ from beamfield.geometry import compose
 from beamfield.maps.landmark_cone import LandmarkCones
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.sensors import RangeFinder
-from tests.threads import forced_threads
 
 
 def sonar(*bearings_deg, opening_deg=30.0, max_range=10.0):
@@ -74,18 +73,6 @@ def test_moving_map_and_poses_together_changes_nothing(rng):
     there = LandmarkCones(LandmarkMap(moved), 0.05).expected_ranges(compose(move, poses), finder)
     np.testing.assert_allclose(there, here, atol=1e-9)
     assert 0.2 < (here < 5.0).mean() < 0.95
-
-
-def test_any_shape_of_poses_and_any_number_of_threads(rng):
-    cones = LandmarkCones(LandmarkMap(rng.uniform(-3, 3, (30, 2))))
-    poses = np.column_stack([rng.uniform(-3, 3, (600, 2)), rng.uniform(-4, 4, 600)])
-    with forced_threads(1):
-        one = cones.expected_ranges(poses, sonar(0, 40, 80))
-    for threads in (2, 3):
-        with forced_threads(threads):
-            np.testing.assert_array_equal(cones.expected_ranges(poses, sonar(0, 40, 80)), one)
-    assert cones.expected_ranges(poses.reshape(20, 30, 3), sonar(0, 40, 80)).tolist() == one.reshape(20, 30, 3).tolist()
-    assert cones.expected_ranges(np.empty((0, 3)), sonar(0)).shape == (0, 1)
 
 
 @pytest.mark.parametrize(

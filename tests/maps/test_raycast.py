@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import gc
-import pickle
 import weakref
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -195,23 +193,6 @@ def test_the_number_of_threads_changes_no_bit(rng, threads):
     assert all(many.tobytes() == one.tobytes() for many, one in zip(results(threads), results(1), strict=True))
 
 
-def test_poses_one_by_one_give_the_same_bits_as_together(rng):
-    caster = RayCaster(OccupancyGrid((rng.random((200, 200)) < 0.01).astype(float), 0.05))
-    poses = np.column_stack([rng.uniform(-1, 11, (300, 2)), rng.uniform(-4, 4, 300)])
-    finder = RangeFinder.from_bearings(np.linspace(-2, 2, 7), 8.0)
-    together = caster.expected_ranges(poses, finder)
-    assert np.stack([caster.expected_ranges(pose, finder) for pose in poses]).tobytes() == together.tobytes()
-
-
-def test_one_caster_serves_many_threads(rng):
-    caster = RayCaster(OccupancyGrid((rng.random((100, 100)) < 0.02).astype(float), 0.05))
-    poses = np.column_stack([rng.uniform(0, 5, (3000, 2)), rng.uniform(-4, 4, 3000)])
-    wanted = caster.cast(poses, 5.0)
-    with ThreadPoolExecutor(4) as pool:
-        for ranges in pool.map(lambda _: caster.cast(poses, 5.0), range(16)):
-            np.testing.assert_array_equal(ranges, wanted)
-
-
 def test_casters_of_a_map_share_its_tables_while_it_is_there(monkeypatch):
     grid = draw("..?#").grid
     passes, stops = RayCaster(grid), RayCaster(grid, unknown="occupied")
@@ -225,14 +206,6 @@ def test_casters_of_a_map_share_its_tables_while_it_is_there(monkeypatch):
     monkeypatch.setattr(raycast, "KEPT_BYTES", 0)
     grid = draw("...#").grid
     assert RayCaster(grid).stops.base is not RayCaster(grid).stops.base
-
-
-def test_a_caster_pickles(rng):
-    caster = draw("..#", "?..", unknown="occupied")
-    again = pickle.loads(pickle.dumps(caster))
-    poses = np.column_stack([rng.uniform(-1, 4, (100, 2)), rng.uniform(-4, 4, 100)])
-    np.testing.assert_array_equal(again.cast(poses, 5.0), caster.cast(poses, 5.0))
-    assert again.unknown == "occupied"
 
 
 def test_a_caster_does_not_change_and_does_not_touch_its_input():

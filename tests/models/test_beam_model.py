@@ -85,13 +85,6 @@ def test_end_to_end_other_programs_agree(oracle_case):
     np.testing.assert_allclose(model.log_likelihood(Scan(ranges, sensor), poses), book["log_beam"], atol=1e-6, rtol=0)
 
 
-def test_exponent_scales_the_logarithm(grid):
-    scan, pose = Scan([1.4, 1.0, np.inf], finder(90, -90, 0)), [5.0, 2.5, 0.1]
-    plain, tempered = BeamModel(grid, PARAMETERS), BeamModel(grid, PARAMETERS, exponent=0.25)
-    assert tempered.log_likelihood(scan, pose) == 0.25 * plain.log_likelihood(scan, pose)
-    assert (tempered.beam_log_likelihood(scan, pose) == 0.25 * plain.beam_log_likelihood(scan, pose)).all()
-
-
 def test_a_saved_model_brings_its_exponent_and_beams(grid):
     saved = SavedBeamModel(
         *PARAMETERS.weights, PARAMETERS.sigma_hit, PARAMETERS.lambda_short, PARAMETERS.range_offset,
@@ -102,17 +95,6 @@ def test_a_saved_model_brings_its_exponent_and_beams(grid):
     assert not model.is_normalized
     single = BeamModel(grid, saved, exponent=saved.single_scan_exponent, n_beams=2)
     assert (single.exponent, single.n_beams) == (0.2, 2)
-
-
-def test_contributions_of_the_beams_sum_to_the_scan(grid, rng):
-    sensor = finder(*range(-90, 91, 5), min_range=0.2)
-    model = BeamModel(grid, PARAMETERS, exponent=0.5, n_beams=11)
-    ranges = rng.uniform(0.0, 9.0, sensor.n_beams)
-    ranges[3:9] = np.nan
-    scan, poses = Scan(ranges, sensor), rng.uniform([0, 1, -3], [10, 4, 3], (50, 3))
-    each = model.beam_log_likelihood(scan, poses)
-    assert each.shape == (50, sensor.n_beams)
-    np.testing.assert_allclose(each.sum(axis=-1), model.log_likelihood(scan, poses), rtol=1e-12)
 
 
 def test_thinning_counts_beams_with_a_measurement_only(grid):
@@ -137,12 +119,6 @@ def test_readings_that_are_no_measurement_change_nothing(grid):
     without = Scan([1.4, 1.0], finder(90, -90, min_range=0.1))
     assert model.log_likelihood(with_gaps, pose) == model.log_likelihood(without, pose)
     assert (model.responsibilities(with_gaps, pose)[[0, 2, 4]] == 0.0).all()
-
-
-def test_a_scan_without_measurements_says_nothing(grid):
-    scan = Scan([np.nan, np.nan], finder(0, 90))
-    assert BeamModel(grid, PARAMETERS).log_likelihood(scan, np.zeros((3, 3))).tolist() == [0.0, 0.0, 0.0]
-    assert BeamModel(grid, PARAMETERS).beam_log_likelihood(scan, np.zeros((3, 3))).tolist() == [[0.0, 0.0]] * 3
 
 
 def test_every_reading_from_max_range_on_is_the_same_measurement(grid):

@@ -7,7 +7,6 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.cell_difference import CellDifferenceModel
-from beamfield.sensors import RangeFinder, Scan
 from tests.reference.map_matching_slow import pairs_by_local_cells
 
 
@@ -52,17 +51,7 @@ def test_cells_off_the_map_count_as_the_mean_of_the_others():
     assert shifted == pytest.approx(-0.5 * 4.0)  # all three common cells are wrong, and count for four
 
 
-def test_a_scan_without_measurement_says_nothing():
-    scan = Scan([np.nan], RangeFinder.from_bearings([0.0], 5.0))
-    assert CellDifferenceModel(OccupancyGrid([[0.0]], 1.0)).log_likelihood(scan, [[9.0, 9.0, 0.0]]).tolist() == [0.0]
-
-
 @pytest.mark.parametrize("sigma", [0.0, -1.0, np.nan, np.inf])
 def test_sigmas_that_make_no_sense_are_refused(sigma):
     with pytest.raises(InvalidInputError, match="sigma: expected a positive, finite number, got"):
         CellDifferenceModel(OccupancyGrid([[0.0]], 1.0), sigma)
-
-
-def test_overlaps_that_are_no_share_are_refused():
-    with pytest.raises(InvalidInputError, match="min_overlap: expected a share"):
-        CellDifferenceModel(OccupancyGrid([[0.0]], 1.0), min_overlap=0.0)

@@ -5,7 +5,6 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose, transform_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.histogram_matching import HistogramMatchingModel
@@ -71,8 +70,3 @@ def test_a_measurement_without_decided_cells_says_nothing():
     scan = Scan([np.nan], RangeFinder.from_bearings([0.0], 5.0))
     for z in (scan, OccupancyGrid([[0.5, np.nan]], 1.0)):
         assert model.log_likelihood(z, [[2.0, 2.0, 0.0], [99.0, 0.0, 0.0]]).tolist() == [0.0, 0.0]
-
-
-def test_overlaps_that_are_no_share_are_refused():
-    with pytest.raises(InvalidInputError, match="min_overlap: expected a share"):
-        HistogramMatchingModel(OccupancyGrid([[0.0]], 1.0), min_overlap=2.0)

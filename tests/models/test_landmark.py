@@ -51,13 +51,6 @@ def test_known_correspondence_is_table_6_4_with_the_heading_of_6_40():
             assert got[i, k] == pytest.approx(math.log(q), rel=1e-9, abs=1e-9)
 
 
-def test_features_are_independent():
-    z = detections(ids=[7, 3, UNKNOWN, SPURIOUS, 3])
-    for how in ("nearest", "sum", "assignment"):
-        m = model(how)
-        np.testing.assert_allclose(m.detection_log_likelihood(z, POSES).sum(axis=1), m.log_likelihood(z, POSES))
-
-
 def test_line_4_as_printed_is_right_only_for_robots_that_look_along_x():
     feature = (2.1, 0.5, None)
     z = detections([feature], ids=[7])
@@ -320,11 +313,6 @@ def test_poses_beyond_any_map_are_impossible_and_not_nan():
     with np.errstate(over="ignore", invalid="ignore"):  # NumPy's scalars warn with the JIT off
         values = model().log_likelihood(z, [[1e200, 0.0, 0.0], [-1e307, 1e307, 0.0]])
     assert values.tolist() == [-np.inf, -np.inf]
-
-
-def test_no_features_say_nothing():
-    for how in ("known", "nearest", "sum", "assignment"):
-        assert model(how).log_likelihood(Detections([], []), POSES).tolist() == [0.0] * len(POSES)
 
 
 def test_only_sums_and_known_correspondences_are_densities():

@@ -8,8 +8,11 @@ from beamfield.geometry import compose
 from beamfield.kernels import correlation as kernels
 from beamfield.maps.mapping import InverseSensorModel, local_map, scan_map
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.occupancy_mapper import OccupancyMapper
 from beamfield.maps.raycast import RayCaster
 from beamfield.maps.smoothing import smooth_map
+from beamfield.models.cell_difference import CellDifferenceModel
+from beamfield.models.histogram_matching import HistogramMatchingModel
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan, SensorLog
 from tests.reference.map_matching_slow import correlation, pairs_by_local_cells, pairs_by_map_cells
@@ -154,8 +157,9 @@ def test_timid_local_maps_score_low_because_the_mean_is_common(room):
     truth = compose([-1.0, 2.0, 0.4], [3.0, 4.5, 0.9])
     scan = Scan(RayCaster(room).expected_ranges(truth, FINDER), FINDER)
     model = MapMatchingModel(room)
-    timid = scan_map(scan, resolution=room.resolution, inverse_model=InverseSensorModel())
-    assert model.correlation(timid, truth) < 0.2 < model.correlation(scan, truth)
+    timid = OccupancyMapper(room.resolution, inverse_model=InverseSensorModel())
+    timid.add(scan.ranges[None], scan.finder, np.zeros((1, 3)))
+    assert model.correlation(timid.to_grid(), truth) < 0.2 < model.correlation(scan, truth)
 
 
 def test_fast_sums_equal_plain_sums(rng):
@@ -180,9 +184,10 @@ def test_fast_sums_equal_plain_sums(rng):
 
 
 @pytest.mark.parametrize("min_overlap", [0.0, -0.1, 1.1, np.nan])
-def test_overlaps_that_are_no_share_are_refused(room, min_overlap):
+@pytest.mark.parametrize("model", [MapMatchingModel, CellDifferenceModel, HistogramMatchingModel])
+def test_overlaps_that_are_no_share_are_refused(room, model, min_overlap):
     with pytest.raises(InvalidInputError, match=r"min_overlap: expected a share in \(0, 1\], got"):
-        MapMatchingModel(room, min_overlap=min_overlap)
+        model(room, min_overlap=min_overlap)
 
 
 def test_kernels_that_make_no_sense_are_refused(room):

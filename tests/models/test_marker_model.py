@@ -55,15 +55,6 @@ def test_the_density_of_the_angle_has_no_seam(sigma_angle):
     np.testing.assert_allclose(values, values[0], rtol=1e-6)
 
 
-def test_the_total_is_the_sum_over_markers(rng):
-    model = build()
-    poses = rng.normal([1.1, 1.4, 0.3], 0.1, (4, 5, 3))
-    z = detect(model, poses[0, 0], rng)
-    each = model.detection_log_likelihood(z, poses)
-    assert each.shape == (4, 5, 3)
-    np.testing.assert_allclose(each.sum(axis=-1), model.log_likelihood(z, poses), rtol=1e-12)
-
-
 def test_an_unknown_angle_says_nothing(rng):
     model = build()
     pose = np.array([1.1, 1.4, 0.3])
@@ -71,12 +62,6 @@ def test_an_unknown_angle_says_nothing(rng):
     no_angles = MarkerDetections(z.ids, np.column_stack([z.image[:, :2], np.full(3, np.nan)]))
     places = stats.norm.logpdf(z.image[:, :2], model.expected(pose)[:, :2], 3.0).sum()
     assert float(model.log_likelihood(no_angles, pose)) == pytest.approx(places, rel=1e-9)
-
-
-def test_no_detection_says_nothing():
-    model = build()
-    assert model.log_likelihood(MarkerDetections([], []), np.zeros((2, 3))).tolist() == [0.0, 0.0]
-    assert model.detection_log_likelihood(MarkerDetections([], []), np.zeros((2, 3))).shape == (2, 0)
 
 
 def test_absurdly_far_poses_are_impossible_but_no_error(rng):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from beamfield.errors import InvalidInputError
+from beamfield.geometry import compose
 from beamfield.io.logs.carmen import read_carmen, write_carmen
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
@@ -54,7 +57,8 @@ def test_a_post_is_heard_anywhere_in_the_cone():
 
 @pytest.mark.parametrize("n", [8, 16, 24])
 def test_a_ring_looks_outwards_from_the_rim_and_survives_a_log(tmp_path, n):
-    ring = sonar_ring(n, radius=0.21, opening_angle=0.4, first_bearing=0.1)
+    ring = sonar_ring(n, radius=0.21, opening_angle=0.4)
+    ring = replace(ring, mounts=compose([0.0, 0.0, 0.1], ring.mounts))
     np.testing.assert_allclose(np.hypot(*ring.mounts[:, :2].T), 0.21)
     np.testing.assert_allclose(
         np.exp(1j * np.arctan2(ring.mounts[:, 1], ring.mounts[:, 0])), np.exp(1j * ring.bearings)

@@ -78,21 +78,9 @@ class BeamTable:
         return data_frame({**columns, "scan": self.scan, "beam": self.beam, "stamp": self.stamps})
 
     def select(self, rows: ArrayLike) -> BeamTable:
-        """Return the table with only the given rows, in the given order.
+        """Return the table with only the given rows, indices or a mask (n,), in the given order.
 
-        Parameters
-        ----------
-        rows
-            Indices, or a mask (n,).
-
-        Returns
-        -------
-        The table with the same limits and the same numbers of beams left out.
-
-        Raises
-        ------
-        InvalidInputError
-            If the choice is neither indices that are there nor a mask of the right length.
+        Limits and numbers of beams left out stay the same.
         """
         return subset_of(self, rows, len(self), "rows", COLUMNS)
 

@@ -62,12 +62,7 @@ def block_interval(value: float, standard_error: float, n_blocks: int, *, most: 
 def share_interval(share: float, variance: float, outside: float) -> tuple[float, float]:
     """Return Clopper and Pearson's interval for a share in (0, 1), from the sample size that its variance implies.
 
-    Parameters
-    ----------
-    share, variance
-        The estimate, and its variance, positive.
-    outside
-        The share of such intervals that may miss the truth.
+    `outside` is the share of such intervals that may miss the truth; the variance is positive.
     """
     n = share * (1.0 - share) / variance
     hits, misses = share * n, (1.0 - share) * n

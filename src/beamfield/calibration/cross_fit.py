@@ -112,31 +112,15 @@ def cross_fit_table(
     unknown: UnknownRule = "skip",
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[BeamTable, BeamTable | None]:
-    """Cast each scan's beams in the map of the other half.
+    """Cast each scan's beams in the map of the other half; the mask (t,) says of which scans.
 
-    Parameters
-    ----------
-    log, maps
-        The log, and what `build_cross_fit_maps` made of it.
-    scans
-        (t,) mask of the scans to use.
-    unknown
-        "skip" takes expected ranges from the end points that drew the walls, see `ranges_to_walls`, and leaves out
-        beams that enter unseen space or meet something that the map is not sure of. Otherwise, and for a sensor with an
-        opening angle, expected ranges are those of cells as in `build_beam_table`.
-    progress
-        As for `build_beam_table`.
+    "skip" takes expected ranges from the end points that drew the walls, see `ranges_to_walls`, and leaves out beams
+    that enter unseen space or meet something that the map is not sure of. Otherwise, and for a sensor with an opening
+    angle, expected ranges are those of cells as in `build_beam_table`.
 
-    Returns
-    -------
-    Beams that meet a wall's line, or nothing, and those that meet clutter, whose expected ranges are less exact (None
-    where expected ranges are those of cells); one row per beam, in the order of the scans. The first table counts
-    beams that are not in it.
-
-    Raises
-    ------
-    InvalidInputError
-        As for `build_beam_table`.
+    Return beams that meet a wall's line, or nothing, and those that meet clutter, whose expected ranges are less exact
+    (None where expected ranges are those of cells); one row per beam, in the order of the scans. The first table counts
+    beams that are not in it. InvalidInputError as for `build_beam_table`.
     """
     total = int(scans.sum())
     parts: list[tuple[BeamTable, BeamTable | None]] = []

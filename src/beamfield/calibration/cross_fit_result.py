@@ -38,28 +38,15 @@ FEW_USED = 0.25
 def with_clutter(
     parameters: BeamParameters, intervals: IntervalResult, n_beams: int, clutter: BeamTable, options: CalibrationOptions
 ) -> tuple[BeamParameters, IntervalResult]:
-    """Average the weights over beams that met walls and beams that met clutter.
+    """Average the weights over beams that met walls and beams that met clutter, by their numbers.
 
     Straight walls are easy to measure. Beams that meet corners and furniture have a sigma_hit of their own, for their
-    expected ranges are less exact, but their weights belong to the result as well.
+    expected ranges are less exact, but their weights belong to the result as well; the other parameters stay as they
+    were.
 
-    Parameters
-    ----------
-    parameters, intervals
-        Learned from beams that met walls.
-    n_beams
-        How many those were.
-    clutter
-        Beams that met clutter.
-    options
-        Those of the calibration.
-
-    Returns
-    -------
-    Weights averaged by the numbers of beams, the other parameters as they were. Ends of the weights' intervals are
-    averaged too, as if both fits erred together, and then moved out to hold the interval of walls alone; that of
-    lambda_short is moved out to hold clutter's estimate: where the two differ, it may be the drawn map that errs.
-    Unchanged if too few beams met clutter.
+    Ends of the weights' intervals are averaged too, as if both fits erred together, and then moved out to hold the
+    interval of walls alone; that of lambda_short is moved out to hold clutter's estimate: where the two differ, it may
+    be the drawn map that errs. Nothing changes if too few beams met clutter.
     """
     clutter = clutter.select(~clutter.hits_nothing)
     if len(clutter) < FEWEST_IN_CLUTTER:
@@ -88,23 +75,11 @@ def with_clutter(
 
 
 def wall_variance(log: SensorLog, maps: CrossFitMaps, table: BeamTable, sigma_hit: float) -> float:
-    """Return the variance of expected ranges that is due to the noise of one half's map.
+    """Return the variance of expected ranges that is due to the noise of one half's map, square metres.
 
     Each wall is drawn twice, once by each half of the scans. Half the mean square of the difference, along the beams of
-    the table, is the variance of one of the two.
-
-    Parameters
-    ----------
-    log, maps
-        The log and its maps.
-    table
-        Beams that met walls.
-    sigma_hit
-        Fitted, metres.
-
-    Returns
-    -------
-    Square metres; 0 if no beam meets a wall that both halves have drawn, and for maps drawn from cones.
+    the table, is the variance of one of the two. 0 if no beam meets a wall that both halves have drawn, and for maps
+    drawn from cones.
     """
     if maps.counts is None:
         return 0.0
@@ -125,17 +100,8 @@ def without_wall_error(
 ) -> tuple[BeamParameters, IntervalResult]:
     """Take the error of drawn walls out of sigma_hit, and widen its interval by what is not known of that error.
 
-    Parameters
-    ----------
-    parameters, intervals
-        Learned with drawn walls.
-    variance
-        Square metres, see `wall_variance`.
-
-    Returns
-    -------
-    sigma_hit with the variance subtracted, and an interval from four times the variance subtracted to none. At least a
-    tenth of sigma_hit^2 remains. Unchanged if sigma_hit was not learned.
+    The variance, square metres, is subtracted; the interval is from four times the variance subtracted to none. At
+    least a tenth of sigma_hit^2 remains. Nothing changes if sigma_hit was not learned.
     """
     if "sigma_hit" not in intervals.intervals or variance == 0.0:
         return parameters, intervals
@@ -154,18 +120,8 @@ def cross_fit_findings(
 ) -> Iterator[Finding]:
     """Report that the map comes from the log itself, what that means, and what stays uncertain.
 
-    Parameters
-    ----------
-    maps
-        The maps.
-    table, n_clutter
-        Beams that met walls, and how many of those left out of the table met clutter.
-    parameters, intervals
-        The result.
-
-    Returns
-    -------
-    A note, and warnings where few beams are used or sigma_hit may be mostly the map's error.
+    Warnings are where few beams are used or sigma_hit may be mostly the map's error. n_clutter of the beams left out of
+    the table met clutter.
     """
     total = max(1, len(table) + table.n_unknown + table.n_unsure)
     known, used = 1.0 - table.n_unknown / total, (len(table) + n_clutter) / total

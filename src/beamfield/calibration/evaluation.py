@@ -33,14 +33,7 @@ DEFAULTS: Mapping[str, BeamParameters] = {
 def uniform_parameters(max_share: float) -> BeamParameters:
     """Return the model that knows only how often nothing returns: uniform from min_range to max_range.
 
-    Parameters
-    ----------
-    max_share
-        Share of "no return" readings in the data the fit has seen.
-
-    Returns
-    -------
-    Parameters with z_max and z_rand alone, both above 0.
+    max_share is that of "no return" readings in the data the fit has seen; both weights stay above 0.
     """
     # Half a reading more or less keeps log(z_max) finite if the fit blocks have no "no return" at all.
     share = min(max(max_share, 1e-6), 1.0 - 1e-6)
@@ -78,18 +71,8 @@ def score_models(
 ) -> tuple[ModelScore, ...]:
     """Score sets of parameters on held-out beams; the first is the fit that the others are compared with.
 
-    Parameters
-    ----------
-    models
-        Parameters by name.
-    table
-        Held-out beams; those whose ray hits nothing are left out.
-    blocks
-        (n,) time block of each beam.
-
-    Returns
-    -------
-    One score per model, in their order; -inf where a model makes a reading impossible.
+    Blocks (n,) are those of time of each beam; beams whose ray hits nothing are left out. A score is -inf where a model
+    makes a reading impossible.
     """
     used, block = table.select(~table.hits_nothing), blocks[~table.hits_nothing]
     densities = {name: log_density(used, parameters) for name, parameters in models.items()}
@@ -145,22 +128,10 @@ def is_worth_it(gains: FloatArray, blocks: NDArray[np.int64]) -> bool:
 
 
 def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.Generator) -> FloatArray:
-    """Return the randomised probability integral transform of each beam; uniform on [0, 1] if the model is right.
+    """Return the randomised probability integral transform of the beams whose ray hits something, (m,).
 
-    "No return" is a point mass: its value is drawn uniformly from [1 - z_max, 1].
-
-    Parameters
-    ----------
-    table
-        Beams; those whose ray hits nothing are left out.
-    parameters
-        The model.
-    rng
-        For the randomisation.
-
-    Returns
-    -------
-    (m,) in [0, 1], of the beams whose ray hits something.
+    It is uniform on [0, 1] if the model is right. "No return" is a point mass: its value is drawn uniformly from [1 -
+    z_max, 1].
     """
     used = table.select(~table.hits_nothing)
     return beam_pit(used.ranges, used.expected_ranges, used.max_range, parameters, rng, min_range=used.min_range)
@@ -187,11 +158,9 @@ def pit_deviation(pit: FloatArray) -> float:
 
 
 def likely_causes(table: BeamTable, parameters: BeamParameters) -> NDArray[np.int8]:
-    """Return the most likely cause of each beam, as its position in `beamfield.models.beam_density.CAUSES`.
+    """Return the most likely cause of each beam (n,), as its position in `beamfield.models.beam_density.CAUSES`.
 
-    Returns
-    -------
-    (n,) 0 hit, 1 short, 2 max, 3 rand; 0 too where the model makes the reading impossible.
+    0 (hit) too where the model makes the reading impossible.
     """
     share = beam_responsibilities(
         table.ranges, table.expected_ranges, table.max_range, parameters, min_range=table.min_range
@@ -224,20 +193,9 @@ class Timeline:
 
 
 def timeline(table: BeamTable, parameters: BeamParameters, held_out: NDArray[np.bool_]) -> Timeline:
-    """Return how well each scan fits.
+    """Return how well each scan with a beam whose ray hits something fits, in the order of the log.
 
-    Parameters
-    ----------
-    table
-        Beams; those whose ray hits nothing are left out.
-    parameters
-        The model.
-    held_out
-        (n,) whether each beam was held out.
-
-    Returns
-    -------
-    One entry per scan with a beam whose ray hits something, in the order of the log.
+    `held_out` (n,) says whether each beam was held out; those whose ray hits nothing do not count.
     """
     rows = ~table.hits_nothing
     used = table.select(rows)

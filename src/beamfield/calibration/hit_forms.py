@@ -64,24 +64,10 @@ def fit_candidates(
     options: CalibrationOptions,
     progress: Progress,
 ) -> tuple[Candidate, ...]:
-    """Fit every form of the hit component that the options allow, and mark the one to keep.
+    """Fit every form of the hit component that the options allow, from simple to rich, and mark the one to keep.
 
-    Parameters
-    ----------
-    table
-        All beams; those whose ray hits nothing are left out.
-    blocks
-        (n,) time block of each beam.
-    held_out
-        (n,) which beams judge the forms; they are fitted to the others.
-    options
-        Which forms are allowed, and what is held.
-    progress
-        Called with ("learning", done, total).
-
-    Returns
-    -------
-    One per form, from the simplest to the richest; one of them is chosen.
+    Blocks (n,) are those of time of each beam; the beams held out (n,) judge the forms, which are fitted to the others.
+    Beams whose ray hits nothing are left out.
     """
     usable = ~table.hits_nothing
     fitted, judged = table.select(~held_out & usable), table.select(held_out & usable)

@@ -58,21 +58,10 @@ class OppositeBeams:
 
 
 def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) -> OppositeBeams | None:
-    """Compare sums of opposite beams with the sums of their expected ranges.
+    """Compare sums of opposite beams with the sums of their expected ranges; standard errors are by block of time (n,).
 
-    Parameters
-    ----------
-    log
-        The log that the table was built from; its finder says which beams are opposite.
-    table
-        Beams.
-    blocks
-        (n,) time block of each beam, for the standard errors.
-
-    Returns
-    -------
-    OppositeBeams or None
-        None if the sensor has no opposite beams or too few see a mapped wall.
+    None if the sensor has no opposite beams or too few see a mapped wall. The table was built from the log, whose
+    finder says which beams are opposite.
     """
     first, second = opposite_pairs(log, table)
     n_pairs = len(first)
@@ -97,12 +86,7 @@ def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) 
 
 
 def opposite_pairs(log: SensorLog, table: BeamTable) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rows of the table that are opposite beams of one scan and both see a mapped wall.
-
-    Returns
-    -------
-    (p,) rows of the first and (p,) rows of the second beam of each pair.
-    """
+    """Return the rows (p,) and (p,) of the table that are opposite beams of one scan and both see a mapped wall."""
     partner = _opposite(log.finder.mounts)
     row_of = np.full((len(log), log.finder.n_beams), -1, dtype=np.int64)
     row_of[table.scan, table.beam] = np.arange(len(table))
@@ -148,14 +132,7 @@ def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 def map_findings(pairs: OppositeBeams | None, resolution: float, *, drawn: bool = False) -> Iterator[Finding]:
     """Report walls that are drawn too thick, or a wrong scale of the map.
 
-    Parameters
-    ----------
-    pairs
-        Result of `opposite_beams`.
-    resolution
-        Side of a cell, metres.
-    drawn
-        Whether the map was drawn from the log itself: its cells are then as large as they are said to be.
+    If the map was drawn from the log itself, its cells are as large as they are said to be.
     """
     if pairs is None:
         return

@@ -68,27 +68,10 @@ def refine_poses(
     unknown_occupied: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> PoseRefinement | None:
-    """Refine some reference poses on every other beam and fit sigma_hit to the other ones.
+    """Refine some reference poses on every other beam and fit sigma_hit to the other ones; None if they are too few.
 
-    A better score on the beams that were used would prove nothing; the beams that were not used tell.
-
-    Parameters
-    ----------
-    log, grid
-        Scans with reference poses, and the map.
-    scans
-        Indices of usable scans; about 100, equally spaced, are refined.
-    parameters
-        The fitted model, whose likelihood is maximised.
-    unknown_occupied
-        Whether rays stop at unknown cells.
-    progress
-        Called with (done, total) scans.
-
-    Returns
-    -------
-    PoseRefinement or None
-        None if there are too few beams to say.
+    A better score on the beams that were used would prove nothing; the beams that were not used tell. Of the usable
+    scans, by index, about 100, equally spaced, are refined to where the fitted model is likeliest.
     """
     chosen = scans[np.unique(np.linspace(0, len(scans) - 1, min(MAX_SCANS, len(scans))).astype(np.int64))]
     unknown: Literal["free", "occupied"] = "occupied" if unknown_occupied else "free"
@@ -155,13 +138,8 @@ def _delay(log: SensorLog, scans: NDArray[np.int64], shifts: FloatArray) -> tupl
 def refinement_findings(refinement: PoseRefinement | None, *, drawn: bool = False) -> Iterator[Finding]:
     """Report how much of sigma_hit is error of the reference poses, and whether these are late; nothing for None.
 
-    Parameters
-    ----------
-    refinement
-        Result of `refine_poses`.
-    drawn
-        Whether the map was drawn from the log itself: the fit then leaves out beams that meet what is not drawn
-        exactly, and its sigma_hit is smaller than both here.
+    If the map was drawn from the log itself, the fit leaves out beams that meet what is not drawn exactly, and its
+    sigma_hit is smaller than both here.
     """
     if refinement is None:
         return

@@ -164,28 +164,12 @@ def cut_windows(
 ) -> list[Window]:  # fmt: skip
     """Cut a log into windows, spread over all of it; where the log is short they overlap.
 
-    Parameters
-    ----------
-    log
-        Scans with reference poses.
-    grid
-        The map; poses elsewhere are drawn from its free cells.
-    rivals
-        From `draw_rivals`.
-    options
-        How to cut.
-    selection
-        Which scans may be used, see `select_scans`.
-    block_s
-        Length of the blocks of time that are fitted or held out whole, see `time_blocks`; None takes its default, or
-        more if windows need it.
+    Poses elsewhere are drawn from the map's free cells; rivals are from `draw_rivals`. The selection says which scans
+    may be used, see `select_scans`. Blocks of time that are fitted or held out whole last block_s seconds, see
+    `time_blocks`; None takes its default, or more if windows need it.
 
-    Raises
-    ------
-    InvalidInputError
-        If the log has no reference poses on the map.
-    TooLittleDataError
-        If there are fewer than five windows in a part.
+    InvalidInputError if the log has no reference poses on the map, TooLittleDataError if there are fewer than five
+    windows in a part.
     """
     groups = _groups(log, grid, options, selection)
     blocks = time_blocks(log.stamps, _block_length(log, groups) if block_s is None else block_s)

@@ -28,16 +28,9 @@ CLEARLY = 0.2
 
 
 def pose_findings(log: SensorLog, grid: OccupancyGrid, *, drawn: bool = False) -> Iterator[Finding]:
-    """Check the reference path of a whole log against the map and the odometry.
+    """Check the reference path of a whole log (NaN where there is none) against the map and the odometry.
 
-    Parameters
-    ----------
-    log
-        All scans, with reference poses (NaN where there are none) and odometry.
-    grid
-        The map.
-    drawn
-        Whether the map was drawn from the log itself: its scans then agree with any poses that drew it.
+    If the map was drawn from the log itself, its scans agree with any poses that drew it.
     """
     yield from (*map_findings(log, grid), *_inside_walls(log, grid), *jump_findings(log))
     yield from _against_odometry(log, None if drawn else grid)

@@ -92,12 +92,7 @@ class Selection:
         return {name: int(n) for name, n in zip(REASONS, counts, strict=True) if n}
 
     def describe(self) -> str:
-        """Return one line for people: how many scans are used, and why the others are not.
-
-        Returns
-        -------
-        For example "80 of 100 scans used; dropped: 20 standing still".
-        """
+        """Return one line for people, for example "80 of 100 scans used; dropped: 20 standing still"."""
         why = ", ".join(f"{n} {name}" for name, n in self.dropped.items())
         return f"{int(self.used.sum())} of {len(self.used)} scans used" + (f"; dropped: {why}" if why else "")
 

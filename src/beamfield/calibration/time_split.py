@@ -60,17 +60,7 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
 
 
 def block_length(stamps: ArrayLike, block_s: float | None) -> float:
-    """Return how long the blocks of `time_blocks` are.
-
-    Returns
-    -------
-    Seconds; 0 if no time passes and no length is given.
-
-    Raises
-    ------
-    InvalidInputError
-        If the length is not positive.
-    """
+    """Return how long the blocks of `time_blocks` are, seconds; 0 if no time passes and no length is given."""
     if block_s is None:
         times = np.asarray(stamps, dtype=np.float64)
         return min(LONGEST_BLOCK_S, float(np.ptp(times)) / FEWEST_BLOCKS) if times.size else 0.0
@@ -79,23 +69,9 @@ def block_length(stamps: ArrayLike, block_s: float | None) -> float:
 
 
 def held_out_mask(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.bool_]:
-    """Return which stamps are held out: every third block of time, from the second on.
+    """Return which stamps (n,) are held out: every third block of time, from the second on, of `time_blocks`.
 
-    Parameters
-    ----------
-    stamps
-        (n,) seconds.
-    block_s
-        Length of a block, see `time_blocks`.
-
-    Returns
-    -------
-    (n,) bool; none is held out where there are too few blocks.
-
-    Raises
-    ------
-    InvalidInputError
-        If the length is not positive.
+    None is held out where there are too few blocks.
 
     Examples
     --------

@@ -112,13 +112,10 @@ def _run(arguments: argparse.Namespace, command: ModuleType, words: list[Any]) -
 
 
 def true_parameters(truth: Mapping[str, Any]) -> dict[str, float]:
-    """Return what calibration should find.
+    """Return what calibration should find, from the content of a truth.json.
 
-    Parameters
-    ----------
-    truth
-        The content of a truth.json. Its odometry is too long by a scale s; calibration says by how much the truth is
-        longer than odometry, 1 / (1 + s) - 1.
+    Its odometry is too long by a scale s; calibration says by how much the truth is longer than odometry:
+    1 / (1 + s) - 1.
     """
     noise = truth["odometry_noise"]
     scales = {name: 1.0 / (1.0 + noise[name]) - 1.0 for name in ("distance_scale", "turn_scale")}
@@ -146,15 +143,7 @@ def fitted_parameters(calibration: Mapping[str, Any]) -> dict[str, Mapping[str, 
 
 
 def parameter_comparison(truth: Mapping[str, float], fitted: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a table of true and fitted parameters, and how many intervals hold the truth.
-
-    Parameters
-    ----------
-    truth
-        True value by parameter.
-    fitted
-        As `fitted_parameters` returns it.
-    """
+    """Return a table of true and fitted parameters (see `fitted_parameters`), and how many intervals hold the truth."""
     from beamfield.report.text_table import aligned
 
     rows, held = [], 0
@@ -171,10 +160,7 @@ def parameter_comparison(truth: Mapping[str, float], fitted: Mapping[str, Mappin
 def error_comparison(evaluation: Mapping[str, Any]) -> str:
     """Return a table of the filter's errors before and after.
 
-    Parameters
-    ----------
-    evaluation
-        ``filters`` and ``differences`` of an evaluation.json.
+    From ``filters`` and ``differences`` of an evaluation.json.
     """
     from beamfield.report.text_table import aligned
 

@@ -39,22 +39,8 @@ def posed_log(
     """Return a log with reference poses, its own or else fitted to the map, what was fitted, and findings on the poses.
 
     Its own are those of a localizer that may have been lost: where they do not go with the map or the odometry, and
-    others can be fitted that are elsewhere, these are taken.
-
-    Parameters
-    ----------
-    sensor, path
-        What was read, and from where.
-    grid
-        The map.
-    arguments
-        The command line.
-    progress
-        Called with stage, steps done and steps in all.
-    start
-        See `options.start_of`.
-    are_given
-        Whether the poses are from a file that the user named: then they are taken as they are.
+    others can be fitted that are elsewhere, these are taken; not if `are_given`: they are from a file that the user
+    named.
     """
     from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import fit_poses
@@ -109,15 +95,7 @@ def fit_in_map(
     path: Path,
     start: Start,
 ) -> Fitted:
-    """Return what `fit` finds, or an error in the words of the command line.
-
-    Parameters
-    ----------
-    fit
-        `fit_poses` or `cross_fit_poses`.
-    sensor, grid, arguments, progress, path, start
-        As for `posed_log`.
-    """
+    """Return what `fit` (`fit_poses` or `cross_fit_poses`) finds, or an error in the words of the command line."""
     if not sensor.has_odometry:
         raise FormatError(
             path,

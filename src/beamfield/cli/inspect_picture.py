@@ -68,16 +68,9 @@ def poses_picture(track: Track, title: str, grid: OccupancyGrid | None = None) -
 
 
 def log_picture(log: ScanLog, title: str, grid: OccupancyGrid | None = None) -> Figure:
-    """Draw one row per sensor: the scans along the path, one scan, and the ranges.
+    """Draw one row per sensor, of up to four: the scans along the path, one scan, and the ranges.
 
-    Parameters
-    ----------
-    log
-        The log; of more than four sensors the first four are drawn.
-    title
-        What to write above.
-    grid
-        A map to draw under the scans of sensors that have reference poses.
+    The map is drawn under the scans of sensors that have reference poses.
     """
     shown = list(log.sensors.items())[:MOST_SENSORS]
     layouts = [_layout_for(sensor) for _, sensor in shown]

@@ -191,19 +191,12 @@ def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldPa
     from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters, SavedLikelihoodField
 
     if arguments.params is None:
-        beam = _parameters(arguments, scan)
-    else:
-        read = options.read_field_or_beam_model(arguments.params)
-        if isinstance(read, SavedLikelihoodField):
-            return read, []
-        beam = read
-    notes = [
-        f"{arguments.params} has {name} {getattr(beam, name):.4g}, which a likelihood field cannot have; it is left "
-        "out. The likelihood_field.yaml of beamfield calibrate is learned without."
-        for name in NOT_OF_A_FIELD
-        if getattr(beam, name) != 0.0
-    ]
-    return LikelihoodFieldParameters.from_beam_parameters(beam, drop=NOT_OF_A_FIELD), notes
+        return LikelihoodFieldParameters.from_beam_parameters(_parameters(arguments, scan)), []
+    read = options.read_field_or_beam_model(arguments.params)
+    if isinstance(read, SavedLikelihoodField):
+        return read, []
+    notes = options.left_out_of_a_field(read, arguments.params)
+    return LikelihoodFieldParameters.from_beam_parameters(read, drop=NOT_OF_A_FIELD), notes
 
 
 def _local_map(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> OccupancyGrid:

@@ -112,9 +112,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
         grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
         _check_inputs(sensor, grid, arguments)
         sensor, more = _with_poses_that_hold(sensor, grid, arguments, progress)
-        notes = (*notes, *more)
         log, start = _start(sensor, grid, arguments)
-        run_filter, which = _filter(log, grid, start, arguments)
+        run_filter, which, left_out = _filter(log, grid, start, arguments)
+        notes = (*notes, *more, *left_out)
         film = Film(len(log), arguments.seed)
 
         progress("localizing", 0, len(log))
@@ -195,15 +195,16 @@ Step = Callable[[int], None]
 
 def _filter(
     log: SensorLog, grid: OccupancyGrid, start: PoseBelief | None, arguments: argparse.Namespace
-) -> tuple[Callable[[Film, Step], Localization], str]:
-    """Return what runs the filter over the log, keeping its particles, and which filter that is, in words."""
+) -> tuple[Callable[[Film, Step], Localization], str, list[str]]:
+    """Return what runs the filter over the log, keeping its particles; which filter that is, in words; and notes."""
     import numpy as np
 
     from beamfield.cli.localize_stack import is_stack_file, stack_filter
 
     if is_stack_file(arguments.params):
-        return stack_filter(log, grid, start, arguments)
-    localizer, rng = _localizer(log, grid, arguments), np.random.default_rng(arguments.seed)
+        return *stack_filter(log, grid, start, arguments), []
+    model, notes = _model(log, grid, arguments)
+    localizer, rng = _localizer(model, grid, arguments), np.random.default_rng(arguments.seed)
 
     def run(film: Film, step: Step) -> Localization:
         def watch(i: int, update: Update) -> None:
@@ -212,10 +213,10 @@ def _filter(
 
         return localizer.run(log, start, rng, watch=watch)
 
-    return run, "beamfield's own"
+    return run, "beamfield's own", notes
 
 
-def _localizer(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> ScanLocalizer:
+def _localizer(model: Any, grid: OccupancyGrid, arguments: argparse.Namespace) -> ScanLocalizer:
     from beamfield.localization.particle_filter import FilterOptions
     from beamfield.localization.recovery import PosesFromScan, Recovery
     from beamfield.localization.resampling import KldSampling
@@ -223,7 +224,6 @@ def _localizer(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespac
     from beamfield.localization.short_readings import ShortReadings
     from beamfield.models.gaussian_motion import USUAL_MOTION, GaussianMotion
 
-    model = _model(log, grid, arguments)
     filter_options = FilterOptions(n_particles=arguments.particles or PARTICLES)
     if arguments.recovery:
         filter_options = FilterOptions(
@@ -243,7 +243,8 @@ def _localizer(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespac
     )
 
 
-def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> Any:
+def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> tuple[Any, list[str]]:
+    """Return the measurement model, and notes on its parameters."""
     from beamfield.io.parameters.beam_model_file import read_beam_model
     from beamfield.maps.solids import hollowed
     from beamfield.models.beam import BeamModel
@@ -260,10 +261,12 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     table = options.read_range_table(arguments, grid, log.finder)
     parameters: Any = BeamParameters(**DEFAULTS) if saved is None else saved.parameters
     if not is_field:
-        return BeamModel(grid, parameters, caster=table, **how)
+        return BeamModel(grid, parameters, caster=table, **how), []
+    notes: list[str] = []
     if not isinstance(saved, SavedLikelihoodField):
+        notes = options.left_out_of_a_field(parameters, arguments.params)
         parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=NOT_OF_A_FIELD)
-    return LikelihoodFieldModel(hollowed(grid), parameters, **how)
+    return LikelihoodFieldModel(hollowed(grid), parameters, **how), notes
 
 
 def _counting(saved: Any, n_in_scan: int, arguments: argparse.Namespace) -> dict[str, Any]:

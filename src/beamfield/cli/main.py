@@ -70,11 +70,8 @@ def build_parser() -> Parser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    Parameters
-    ----------
-    arguments
-        Words of the command line without the program's name; None takes them from the process. Only then runs of
-        filters start others beside it, which would run a script of the caller's anew.
+    The words come without the program's name; None takes them from the process. Only then runs of filters start others
+    beside it, which would run a script of the caller's anew.
     """
     for stream in (sys.stdout, sys.stderr):
         # A terminal that has no "±", or a file name that is no text, must not end a finished job with a traceback.

@@ -15,7 +15,7 @@ from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, abo
 if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.maps.range_table import RangeTable
-    from beamfield.models.beam_parameters import SavedBeamModel
+    from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
     from beamfield.models.field_parameters import SavedLikelihoodField
     from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
@@ -203,6 +203,18 @@ def read_field_or_beam_model(path: Path) -> SavedLikelihoodField | SavedBeamMode
     # A file that is neither is refused as what the model asks for first.
     is_beam_model = not is_likelihood_field(path) and "beam_model" in read_yaml(path).values
     return read_beam_model(path) if is_beam_model else read_likelihood_field(path)
+
+
+def left_out_of_a_field(beam: BeamParameters, path: Path) -> list[str]:
+    """Return notes on what the beam model in a file has that a likelihood field with its parameters cannot have."""
+    from beamfield.models.field_parameters import NOT_OF_A_FIELD
+
+    return [
+        f"{path} has {name} {getattr(beam, name):.4g}, which a likelihood field cannot have; it is left out. The "
+        "likelihood_field.yaml of beamfield calibrate is learned without."
+        for name in NOT_OF_A_FIELD
+        if getattr(beam, name) != 0.0
+    ]
 
 
 def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: Path | None = None) -> ScanLog:

@@ -96,17 +96,8 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """Return the parser of a new command, with the options that all commands have.
 
-    Parameters
-    ----------
-    commands
-        Where to add it.
-    run
-        Does the work.
-    name
-        What is typed.
-    text
-        The help, which is the docstring of the command's module: one line for the list of commands, what it does, and
-        examples, which stand below the options.
+    The text is the help, the docstring of the command's module: one line for the list of commands, what it does, and
+    examples, which stand below the options.
     """
     parser = _add_parser(commands, name, text)
     parser.add_argument("-q", "--quiet", action="store_true", help="print only errors and the result on one line")

@@ -33,11 +33,6 @@ def provenance(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what a reader needs to repeat a result; options that were not given and have no default are left out.
 
     Every path given is an input, but for those that are written; paths are recorded by name only, as results travel.
-
-    Parameters
-    ----------
-    arguments
-        The command line.
     """
     from beamfield.io.maps.ros_map import image_path
 

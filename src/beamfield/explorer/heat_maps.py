@@ -65,10 +65,7 @@ def fewer_beams(one: ParameterSet, model: Any, scan: Scan, most: int) -> Beams:
 def quick_weights(one: ParameterSet, model: Any) -> Weigh | None:
     """Return what weighs a scan at many poses at once; None if that takes long.
 
-    Parameters
-    ----------
-    one, model
-        The set, and its model. Of another program's field, what each cell of the map adds is worked out first.
+    Of another program's field, what each cell of the map adds is worked out first.
     """
     if one.kind != "stack":
         return model.log_likelihood  # type: ignore[no-any-return]
@@ -83,19 +80,9 @@ def heat_around(
 ) -> dict[str, Any]:  # fmt: skip
     """Return how likely a scan is at 60 x 60 places around a pose, each with the best of 36 headings.
 
-    Parameters
-    ----------
-    one, model, weigh
-        The set, its model and that one's `quick_weights`.
-    scan
-        The scan.
-    pose
-        In the middle; itself among the poses that are tried.
-    width
-        Of the square, metres.
-    dragged
-        Whether the next one will be asked for at once: then of a beam model 20 beams stand for all, and a model without
-        quick weights is tried at half as many places a side and headings.
+    The pose, in the middle of a square of this width in metres, is itself tried. While it is `dragged`, the next one is
+    asked for at once: then of a beam model 20 beams stand for all, and a model without quick weights is tried at half
+    as many places a side and headings.
     """
     coarse = 2 if dragged and weigh is None else 1
     n, n_headings = PLACES // coarse, HEADINGS // coarse

@@ -42,20 +42,8 @@ def open_session(
 ) -> tuple[Session, str | None]:
     """Return a session, and why nothing was learned from the log, if that was asked for and could not be.
 
-    Parameters
-    ----------
-    log
-        Scans of a laser scanner, with odometry for filters, and reference poses for all that judges.
-    grid
-        The map.
-    sets
-        To compare with those that are learned, and with typical ones.
-    run
-        A filter's run on the log.
-    fit
-        Whether to learn a beam model and a likelihood field from the log, and to judge its scans: some seconds.
-    progress
-        Called with stage, steps done and steps in all.
+    The log has odometry for filters, and reference poses for all that judges. The sets are compared with those that are
+    learned, and with typical ones. To fit a beam model and a likelihood field, and judge the scans, takes some seconds.
     """
     report = progress or _silent
     numbers: dict[str, FloatArray] = {}

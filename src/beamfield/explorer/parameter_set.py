@@ -155,12 +155,7 @@ def with_common_ends(sets: Sequence[ParameterSet]) -> list[ParameterSet]:
 def typical_sets(grid: OccupancyGrid, finder: RangeFinder, beside: Sequence[ParameterSet] = ()) -> list[ParameterSet]:
     """Return what there is without a file: a typical beam model, its field, and programs' defaults.
 
-    Parameters
-    ----------
-    grid, finder
-        The map and the sensor.
-    beside
-        Sets from files: there is a default of each of their models, or of the first program's if there are none.
+    There is a default of each model of the sets `beside` them, or of the first program's if there are none.
     """
     beam = BeamParameters(z_hit=0.8, z_short=0.08, z_max=0.02, z_rand=0.1, sigma_hit=0.15, lambda_short=0.4)
     field_parameters = LikelihoodFieldParameters(z_hit=0.8, z_rand=0.1, sigma_hit=0.15)
@@ -187,14 +182,7 @@ def fitted_sets(
 ) -> list[ParameterSet]:  # fmt: skip
     """Return what was learned from a log: a beam model, and a likelihood field.
 
-    Parameters
-    ----------
-    beam, beams_count
-        The beam model, and how much its beams count; None takes the field's exponents.
-    learned
-        The field, with exponents.
-    grid, finder
-        The map and the sensor.
+    Without an exponent of the beam model, it takes the field's.
     """
     single = learned.exponent if learned.exponents is None else learned.exponents.single.value
     field_counts = _Counting(learned.exponent, single, learned.n_beams)
@@ -208,13 +196,7 @@ def fitted_sets(
 
 
 def read_set(path: Path, grid: OccupancyGrid, finder: RangeFinder) -> ParameterSet:
-    """Read a parameter file: a beam_model.yaml, a likelihood_field.yaml, or another program's.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be used.
-    """
+    """Read a beam_model.yaml, a likelihood_field.yaml, or another program's file; FormatError if it cannot be used."""
     if is_likelihood_field(path) or is_beam_model(path):
         is_field = is_likelihood_field(path)
         saved = read_likelihood_field(path) if is_field else read_beam_model(path)

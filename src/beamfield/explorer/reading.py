@@ -26,19 +26,7 @@ def beam_parameters(values: Values) -> BeamParameters:
 def reading_density(
     one: ParameterSet, values: Values, scan: Scan, pose: FloatArray, beam: int, caster: RayCaster
 ) -> dict[str, Any]:
-    """Return the density of one beam's range at a pose, and the causes of its reading; no curves but of beam models.
-
-    Parameters
-    ----------
-    one, values
-        The set and its values.
-    scan, beam
-        The scan, and which of its beams.
-    pose
-        (3,) of the robot.
-    caster
-        Of the map.
-    """
+    """Return the density of one beam's range at a pose (3,), and its reading's causes; no curves but of beam models."""
     finder = scan.finder.subset([beam])
     expected = float(caster.expected_ranges(pose, finder)[0])
     measured = float(usable_ranges(scan.ranges, scan.finder)[beam])
@@ -67,14 +55,7 @@ def reading_density(
 def reading_score(one: ParameterSet, values: Values, scan: Scan, pose: FloatArray, caster: RayCaster) -> float | None:
     """Return the mean log density of a reading of a scan at a pose, nats; None for other than beam models.
 
-    Parameters
-    ----------
-    one, values
-        The set and its values; its exponent does not matter.
-    scan, pose
-        The scan, and where it was taken.
-    caster
-        Of the map.
+    The set's exponent does not matter.
     """
     if one.kind != "beam":
         return None

@@ -39,17 +39,7 @@ class PoseScores:
         self._far = free_poses(grid, OPTIONS.far, rng) if grid.free.any() else np.empty((0, 3))
 
     def __call__(self, models: Sequence[Any], scan: Scan, reference: FloatArray) -> list[float]:
-        """Return the score of each model, nats.
-
-        Parameters
-        ----------
-        models
-            Measurement models of scans.
-        scan
-            The scan.
-        reference
-            (3,) where it was taken.
-        """
+        """Return the score of each model for a scan and the pose (3,) where it was taken, nats."""
         near = compose(reference, self._rivals.offsets)
         poses = np.concatenate([near, self._far])
         weights = np.array([[model.log_likelihood(scan, poses) for model in models]])

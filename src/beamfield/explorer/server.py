@@ -69,21 +69,9 @@ def page_file(name: str) -> bytes:
 
 
 def explorer_app(session: Session, token: str, port: int) -> Starlette:
-    """Return the application that serves a session.
+    """Return the application that serves a session to whoever has the token.
 
-    Parameters
-    ----------
-    session
-        What it answers.
-    token
-        That whoever asks must have.
-    port
-        On which it is served, for the Host and the Origin that are ours.
-
-    Raises
-    ------
-    MissingDependencyError
-        If Starlette is not installed.
+    The port is that of the Host and the Origin that are ours. MissingDependencyError if Starlette is not installed.
     """
     try:
         from starlette.applications import Starlette

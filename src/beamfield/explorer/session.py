@@ -95,22 +95,10 @@ class Session:
         }
 
     def answer(self, message: Any) -> dict[str, Any]:
-        """Answer a message of the page.
+        """Answer a message of the page with what JSON can hold.
 
-        Parameters
-        ----------
-        message
-            Decoded JSON: an object with `name` (start, scan, heat, building, density, scores, judge, filter, file) and
-            what that needs.
-
-        Returns
-        -------
-        What JSON can hold.
-
-        Raises
-        ------
-        InvalidInputError
-            If the message is not one that the page can send.
+        The message is decoded JSON: an object with `name` (start, scan, heat, building, density, scores, judge, filter,
+        file) and what that needs. InvalidInputError if it is not one that the page can send.
         """
         request = Request.parsed(message)
         if request.name not in self._answers:

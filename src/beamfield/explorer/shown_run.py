@@ -53,13 +53,7 @@ class ShownRun:
 
 
 def read_shown_run(path: Path, log: SensorLog, grid: OccupancyGrid) -> ShownRun:
-    """Read a run, and compare it with the scans of the log that it was run on.
-
-    Raises
-    ------
-    FormatError
-        If a file cannot be read, or the run is of another log.
-    """
+    """Read a run, and compare it with the scans of its log; FormatError if it cannot be read, or is of another log."""
     run = read_run(path)
     poses = interpolate_poses(run.track.stamps, run.track.poses, log.stamps, max_gap=MAX_GAP)
     if not np.isfinite(poses).all(axis=1).any():
@@ -79,13 +73,7 @@ def own_poses_as_run(log: SensorLog, grid: OccupancyGrid, lost: Finding) -> Show
 
 
 def run_from(log: SensorLog, grid: OccupancyGrid, model: Any, i: int, pose: tuple[float, float, float]) -> ShownRun:
-    """Run a particle filter from a scan and a pose on.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no odometry from there on.
-    """
+    """Run a particle filter from a scan and a pose on; InvalidInputError if there is no odometry from there on."""
     if not np.isfinite(log.odometry[i:]).all(axis=1).any():
         raise InvalidInputError("filter: the scans have no odometry, which moves the particles")
     particles: dict[int, FloatArray] = {}

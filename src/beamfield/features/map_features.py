@@ -90,16 +90,9 @@ def map_features(grid: OccupancyGrid, *, spacing: float = 1.5, max_range: float 
 
 
 def merged_segments(segments: FloatArray, resolution: float) -> FloatArray:
-    """Return one segment (m, 4) per wall with at least two pieces (n, 4), as far as they reach.
+    """Return one segment (m, 4) per wall with at least two pieces (n, 4), as far as they reach, metres.
 
-    The longest piece gives the line.
-
-    Parameters
-    ----------
-    segments
-        End points, metres.
-    resolution
-        Side of the map's cells, metres.
+    The longest piece gives the line; the resolution is the side of the map's cells.
     """
     near = SAME_PLACE + SAME_PLACE_CELLS * resolution
     left = segments[np.argsort(-np.hypot(*(segments[:, 2:] - segments[:, :2]).T))]
@@ -127,12 +120,9 @@ def merged_segments(segments: FloatArray, resolution: float) -> FloatArray:
 
 
 def merged_corners(corners: FloatArray) -> FloatArray:
-    """Return the corners (m, 3) x, y, opening of sightings (n, 4) with a variance.
+    """Return the corners (m, 3) x, y, opening of sightings (n, 4), which have the variance of the place, metres^2, too.
 
-    Parameters
-    ----------
-    corners
-        x, y in metres, opening in radians, and the variance of the place, metres^2: the surest sighting is kept.
+    The surest sighting is kept; the opening is in radians.
     """
     left = corners[np.argsort(corners[:, 3])]
     kept = []

@@ -15,20 +15,11 @@ PIECE_COST, OUTLIER_COST = 25.0, 12.0
 def straight_pieces(
     sweep: Sweep, places: NDArray[np.int64], noise: RangeNoise, *, min_points: int
 ) -> list[NDArray[np.int64]]:
-    """Return the pieces of a run that are straight within the noise.
+    """Return the pieces of a run that are straight within the noise of single readings.
 
-    Every point belongs to a piece or is an outlier. The cost is the sum of the pieces' chi-squares, `PIECE_COST` for
-    each piece and `OUTLIER_COST` for each outlier; dynamic programming finds the least. Split and merge looks for the
-    same cuts but stops at the first that seems good.
-
-    Parameters
-    ----------
-    sweep, places
-        The run, in order.
-    noise
-        Of single readings.
-    min_points
-        Fewest points of a piece, at least 3.
+    Every point belongs to a piece of at least min_points (3 or more) or is an outlier. The cost is the sum of the
+    pieces' chi-squares, `PIECE_COST` for each piece and `OUTLIER_COST` for each outlier; dynamic programming finds the
+    least. Split and merge looks for the same cuts but stops at the first that seems good.
     """
     n = len(places)
     sums = cumulated_normal_equations(sweep, places, noise)

@@ -101,13 +101,8 @@ def sweeps(scan: Scan) -> list[Sweep]:
     """Return the beams of a scan that measured something, one sweep per origin.
 
     Beams whose origin only one or two beams share (a sonar ring) form one sweep in order of their bearings about the
-    robot. A full turn starts at its widest jump, so that hardly any object is cut in two.
-
-    Parameters
-    ----------
-    scan
-        Ranges and mounts, any order and spacing. NaN, -inf and readings below min_range are left out; readings of
-        max_range and more are kept as "nothing returned".
+    robot. A full turn starts at its widest jump, so that hardly any object is cut in two. NaN, -inf and readings below
+    min_range are left out; readings of max_range and more are kept as "nothing returned".
     """
     ranges = usable_ranges(scan.ranges, scan.finder)
     return [

@@ -24,17 +24,7 @@ Limits = tuple[float, float, float, float]
 
 
 def framed_map(grid: OccupancyGrid, ax: Axes, *, colours: Sequence[str] = MAP_COLOURS) -> None:
-    """Draw a map in metres and show the part of it that is known.
-
-    Parameters
-    ----------
-    grid
-        The map.
-    ax
-        Where to draw.
-    colours
-        Of free, unknown and occupied cells.
-    """
+    """Draw a map in metres, in colours of free, unknown and occupied cells, and show the part of it that is known."""
     draw_cells(categories(grid), grid.resolution, grid.origin, ax, colours=colours)
     limits = known_limits(grid)
     ax.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
@@ -67,16 +57,9 @@ def known_limits(grid: OccupancyGrid, margin: float = 0.5) -> Limits:
 
 
 def scan_limits(scan: Scan, pose: ArrayLike, margin: float) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (low, high) of what a scan sees from a pose, a few stray end points left out.
+    """Return the corners (low, high) of what a scan sees from a pose (3,), a few stray end points left out.
 
-    Parameters
-    ----------
-    scan
-        The scan.
-    pose
-        (3,) metres and radians.
-    margin
-        Added on each side, metres.
+    The margin, in metres, is added on each side.
     """
     place = np.asarray(pose, dtype=np.float64)
     points = hit_points(scan.ranges, scan.finder, place)
@@ -85,19 +68,7 @@ def scan_limits(scan: Scan, pose: ArrayLike, margin: float) -> tuple[FloatArray,
 
 
 def mark_robot(pose: ArrayLike, ax: Axes, *, size: float, color: str, label: str) -> None:
-    """Draw a robot as a triangle that points along its heading.
-
-    Parameters
-    ----------
-    pose
-        (3,) metres and radians.
-    ax
-        Where to draw.
-    size
-        From its centre to its tip, metres.
-    color, label
-        Of the triangle, and its name in a legend.
-    """
+    """Draw a robot as a triangle that points along its heading; `size` is from its centre to its tip, metres."""
     from matplotlib.patches import Polygon
 
     outline = size * np.array([[1.0, 0.0], [-0.7, 0.65], [-0.4, 0.0], [-0.7, -0.65]])
@@ -107,17 +78,7 @@ def mark_robot(pose: ArrayLike, ax: Axes, *, size: float, color: str, label: str
 
 
 def colour_bar(image: ScalarMappable, ax: Axes, label: str) -> None:
-    """Add a colour bar beside axes.
-
-    Parameters
-    ----------
-    image
-        What the colours belong to.
-    ax
-        The axes.
-    label
-        With the unit.
-    """
+    """Add a colour bar beside axes; its label carries the unit."""
     # As an inset it is as high as the axes, whatever their aspect.
     bar = ax.figure.colorbar(image, cax=ax.inset_axes((1.015, 0.0, 0.022, 1.0)))
     bar.set_label(label, fontsize=9)

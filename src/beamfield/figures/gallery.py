@@ -142,13 +142,7 @@ PANELS = {"6.2": "(c) of 6.1"}
 
 
 def chosen_figures(numbers: Sequence[str] | None = None) -> list[ChapterFigure]:
-    """Return the figures of these numbers in the chapter's order; all if None.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is not known; says which are.
-    """
+    """Return the figures of these numbers in the chapter's order, all if None; refuse unknown numbers."""
     if numbers is None:
         return list(FIGURES.values())
     unknown = [number for number in numbers if number not in FIGURES]
@@ -159,20 +153,7 @@ def chosen_figures(numbers: Sequence[str] | None = None) -> list[ChapterFigure]:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure to a file, the same bytes on every run.
-
-    Parameters
-    ----------
-    figure
-        The figure.
-    path
-        Ends in .svg, .png or .pdf.
-
-    Raises
-    ------
-    InvalidInputError
-        If the ending is another.
-    """
+    """Write a figure to a file that ends in .svg, .png or .pdf, the same bytes on every run."""
     kind = path.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise InvalidInputError(f"picture: expected a name ending in .svg, .png or .pdf, got {path.name!r}")
@@ -192,20 +173,9 @@ def gallery_page(
     *,
     missing: Mapping[ChapterFigure, str] | None = None,
 ) -> str:
-    """Return the gallery as Markdown.
+    """Return the gallery as Markdown, with what the figures are drawn from, and why some could not be drawn.
 
-    Parameters
-    ----------
-    figures
-        What to show.
-    world_name
-        What the figures are drawn from.
-    folder
-        Where the pictures are, seen from the page.
-    suffix
-        Of the pictures.
-    missing
-        Figures that could not be drawn, and why.
+    The folder is where the pictures are, seen from the page; the suffix is theirs.
     """
     again = "`beamfield figures` draws them; `beamfield figures LOG --map MAP` from a log and a map of your own."
     lines = ["# Figures of the chapter", "", f"Drawn from: {world_name}. {again}", ""]

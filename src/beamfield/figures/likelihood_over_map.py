@@ -80,24 +80,11 @@ def plot_likelihood_map(result: LikelihoodMap, grid: OccupancyGrid) -> Figure:
 def draw_likelihood_map(
     result: LikelihoodMap, grid: OccupancyGrid, ax: Axes, *, reference: FloatArray | None = None, title: str = ""
 ) -> None:
-    """Draw log p(z | x, m) over the map, the darker the more likely, with its maximum and the reference pose.
+    """Draw log p(z | x, m) over the map, the darker the more likely, with its maximum and the reference pose (3,).
 
     Peaks are often one cell wide and would be lost in the picture of a building: every place is drawn as dark as the
-    best one within half a percent of the picture's width. Places 30 nats below the maximum are white, or those that
-    are no better than half of all places.
-
-    Parameters
-    ----------
-    result
-        From `likelihood_map`.
-    grid
-        The map.
-    ax
-        Where to draw; a colour bar is added beside it.
-    reference
-        (3,) reference pose to mark.
-    title
-        Of the axes.
+    best one within half a percent of the picture's width. Places 30 nats below the maximum are white, or those that are
+    no better than half of all places. A colour bar is added beside the axes.
     """
     span = _fitting_span(result)
     framed_map(grid, ax, colours=PALE_MAP)

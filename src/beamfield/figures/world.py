@@ -86,13 +86,7 @@ class FigureWorld:
 
     @cached_property
     def calibrations(self) -> Mapping[str, Calibration]:
-        """The beam model learned from each log; learned when it is first asked for.
-
-        Raises
-        ------
-        InvalidInputError, TooLittleDataError
-            If a log does not teach it; says why.
-        """
+        """The beam model learned from each log when it is first asked for; or an error says why it cannot be."""
         options = CalibrationOptions(refine=False)
         try:
             return {name: calibrate(log, self.grid, options) for name, log in self.sensors.items()}
@@ -106,15 +100,7 @@ class FigureWorld:
 
 
 def simulated_world(seed: int = 1, *, duration: float = DURATION) -> FigureWorld:
-    """Return the world that the gallery shows by default: an office, a robot with a sonar ring and a laser scanner.
-
-    Parameters
-    ----------
-    seed
-        Of the office, the drive and the readings.
-    duration
-        Of the drive, seconds.
-    """
+    """Return the world that the gallery shows by default: an office, a robot with a sonar ring and a laser scanner."""
     grid = draw_floor_plan(seed=seed)
     ring = np.arange(24) * np.radians(15.0)
     sonar = RangeFinder.from_bearings(ring, max_range=5.0, name="sonar")
@@ -134,21 +120,9 @@ def world_of_log(
 ) -> FigureWorld:
     """Return the world of a log with reference poses and its map.
 
-    Parameters
-    ----------
-    log
-        The log.
-    grid
-        Its map.
-    sensor
-        The sensor whose scan is shown; may be None if there is only one. Others with poses are drawn too.
-    index
-        Index of the scan to show; None chooses one with far and near readings.
-
-    Raises
-    ------
-    InvalidInputError
-        If the sensor, the scan or its reference pose is missing, or the map has no obstacle.
+    The sensor, whose scan is shown, may be None if there is only one; others with poses are drawn too. Without an index
+    a scan with far and near readings is chosen. InvalidInputError if the sensor, the scan or its reference pose is
+    missing, or the map has no obstacle.
     """
     if not grid.occupied.any():
         raise InvalidInputError("the map has no occupied cell, so that no figure shows anything")
@@ -166,13 +140,7 @@ def world_of_log(
 
 
 def check_scan(log: SensorLog, index: int) -> None:
-    """Refuse a scan that is not there, has no reference pose or no measured range.
-
-    Raises
-    ------
-    InvalidInputError
-        With the range of indices there are.
-    """
+    """Refuse a scan that is not there, has no reference pose or no measured range, and say which indices there are."""
     if not 0 <= index < len(log):
         raise InvalidInputError(f"scan: the log has scans 0 to {len(log) - 1}, got {index}")
     if not np.isfinite(log.poses[index]).all():

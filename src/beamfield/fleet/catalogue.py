@@ -140,20 +140,7 @@ def open_catalogue(address: str | os.PathLike[str], options: Mapping[str, Any] |
 
 
 def create_catalogue(address: str | os.PathLike[str], options: Mapping[str, Any] | None = None) -> Catalogue:
-    """Open a catalogue, or begin a new one in a folder that is empty or not there.
-
-    Parameters
-    ----------
-    address, options
-        As for `open_catalogue`.
-
-    Raises
-    ------
-    FormatError
-        If the folder holds other files, or a catalogue of another schema.
-    OSError
-        As the file system says.
-    """
+    """Open a catalogue, or begin one in a folder that is empty or not there; FormatError if it holds other files."""
     from beamfield import __version__
 
     folder = _folder(address, options)
@@ -176,13 +163,7 @@ def _folder(address: str | os.PathLike[str], options: Mapping[str, Any] | None) 
 
 
 def read_records(folder: Folder) -> list[RunRecord]:
-    """Return all records of a catalogue.
-
-    Raises
-    ------
-    FormatError
-        If a file is not the record of its run.
-    """
+    """Return all records of a catalogue; FormatError if a file is not the record of its run."""
     paths = [f"{RUNS}/{name}" for name in folder.names(RUNS) if name.endswith(".json")]
     records = []
     sensors: dict[str, Mapping[str, Any]] = {}

@@ -17,18 +17,8 @@ from beamfield.io.files.yaml_file import read_yaml
 def local_copy(address: str, options: Mapping[str, Any]) -> Iterator[Path]:
     """Yield a path under which a file or folder can be read while the block runs.
 
-    Parameters
-    ----------
-    address
-        A path, which is yielded as it is, or an fsspec address, which is copied. With a map's YAML file comes the
-        picture that it names.
-    options
-        Storage options for fsspec.
-
-    Raises
-    ------
-    OSError
-        As the file system says; file and address are named without secrets.
+    A path is yielded as it is, an fsspec address is copied. With a map's YAML file comes the picture that it names.
+    Errors name file and address without secrets.
     """
     if not is_address(address):
         yield Path(address)

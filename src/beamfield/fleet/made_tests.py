@@ -48,10 +48,7 @@ class MadeTest:
 def untested_of(drifts: Sequence[Drift]) -> tuple[str, ...]:
     """Return the tests that were not made of a robot, and the faults that none of those made looks for.
 
-    Parameters
-    ----------
-    drifts
-        All of the robot, alarms or not.
+    The drifts are all of the robot, alarms or not.
     """
     tests = [
         name
@@ -68,15 +65,7 @@ def made_tests(
     differences: Sequence[Difference],
     maps: Sequence[StaleMap],
 ) -> tuple[MadeTest, ...]:
-    """Return all tests of a fleet.
-
-    Parameters
-    ----------
-    robots
-        Name and site of each.
-    drifts, differences, maps
-        What was found, and not found.
-    """
+    """Return all tests of a fleet, from name and site of each robot and what was found, and not found."""
 
     def of_robots(name: str, found: Sequence[Drift | Difference], takes: str) -> MadeTest:
         return MadeTest(name, len({(one.robot, one.site) for one in found}), len(robots), "robot", takes)

@@ -77,32 +77,17 @@ class ManifestRow:
 
 
 def read_manifest(path: str | os.PathLike[str], options: Mapping[str, Any] | None = None) -> tuple[ManifestRow, ...]:
-    """Read which logs a fleet has.
+    """Read which logs a fleet has; rows are in their order, of a folder by name.
 
-    Parameters
-    ----------
-    path
-        - A ``.yaml`` file whose key ``runs`` holds a list, or a ``.csv`` file with a header, here or at an fsspec
-          address. A row has a log, its map, the names of robot and site and, if need be, poses (a file for
-          ``--poses``), start (x, y and degrees), sensor and lone-poses. Addresses are relative to the manifest, or
-          whole fsspec addresses.
-        - A folder with a ``manifest.yaml`` or ``manifest.csv``.
-        - A folder of logs, ``SITE/ROBOT/LOG``, with one map per site, ``SITE/map.yaml``, and poses, where there are
-          any, beside their log under its name as ``.tum`` or ``.csv``.
-    options
-        Storage options for fsspec.
+    - A ``.yaml`` file whose key ``runs`` holds a list, or a ``.csv`` file with a header, here or at an fsspec address.
+      A row has a log, its map, the names of robot and site and, if need be, poses (a file for ``--poses``), start (x, y
+      and degrees), sensor and lone-poses. Addresses are relative to the manifest, or whole fsspec addresses.
+    - A folder with a ``manifest.yaml`` or ``manifest.csv``.
+    - A folder of logs, ``SITE/ROBOT/LOG``, with one map per site, ``SITE/map.yaml``, and poses, where there are any,
+      beside their log under its name as ``.tum`` or ``.csv``.
 
-    Returns
-    -------
-    The rows in their order; of a folder, by name.
-
-    Raises
-    ------
-    FormatError
-        If a column or key is unknown (with the one that was probably meant), a value is missing or is no text, a start
-        is not three numbers, a log is there twice, or there is no row; file and line are named.
-    OSError
-        As the file system says.
+    FormatError names file and line if a column or key is unknown (with the one that was probably meant), a value is
+    missing or is no text, a start is not three numbers, a log is there twice, or there is no row.
     """
     if is_address(str(path)):
         return _rows_at(str(path), options or {})

@@ -25,17 +25,7 @@ LOST = "robot-lost"
 
 
 def pose_warnings(log: SensorLog, grid: OccupancyGrid, selection: Selection) -> tuple[Finding, ...]:
-    """Return the warnings about the poses of a run.
-
-    Parameters
-    ----------
-    log
-        All scans, with poses and odometry.
-    grid
-        The map.
-    selection
-        Which of the scans can be used.
-    """
+    """Return the warnings about the poses of a run."""
     return warnings_in((*pose_findings(log, grid), *selection_findings(selection)))
 
 
@@ -61,12 +51,7 @@ def partly_disagrees(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 def lost_finding(own: SensorLog, fitted: SensorLog, doubts: Sequence[Finding]) -> Finding | None:
     """Return how far a robot's own poses are from those that fit its scans; None if it knew where it was.
 
-    Parameters
-    ----------
-    own, fitted
-        The same scans with both; NaN where there is none.
-    doubts
-        What is wrong with its own, at least one finding.
+    The same scans have both, NaN where there is none; the doubts say what is wrong with its own, at least one finding.
     """
     apart = np.hypot(*(own.poses - fitted.poses)[:, :2].T)
     apart = apart[np.isfinite(apart)]

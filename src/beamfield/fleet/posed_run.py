@@ -74,17 +74,7 @@ class PosedRun:
 def read_run(row: ManifestRow, files: RunFiles) -> PosedRun:
     """Read a run, and fit its poses to the map if it has none, or if those of its log are wrong.
 
-    Parameters
-    ----------
-    row, files
-        What the manifest says of it, and where it is on this machine.
-
-    Raises
-    ------
-    BeamfieldError
-        If it cannot be used, as the readers, `cross_fit_poses` and `select_scans` say.
-    OSError
-        As the file system says.
+    BeamfieldError if it cannot be used, as the readers, `cross_fit_poses` and `select_scans` say.
     """
     grid = read_map(files.map)
     if not grid.occupied.any():

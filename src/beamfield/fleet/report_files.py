@@ -163,9 +163,7 @@ def _sector(bearings: tuple[float, float] | None) -> dict[str, float | None]:
 def disagreement_map(stale: StaleMap) -> OccupancyGrid:
     """Return the share of beams that disagree as a map in the place of the site's: unknown where no beam came.
 
-    Returns
-    -------
-    Whole percents, on the cells of the site's map, with its origin.
+    Whole percents, on the cells of the site's map.
     """
     grid, squares = stale.grid, stale.squares
     rows, cols = np.indices(grid.shape)

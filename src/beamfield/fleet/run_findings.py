@@ -17,13 +17,7 @@ CLOCK_DIFFERS_S = 365.0 * 86_400.0
 
 
 def run_findings(records: Sequence[RunRecord]) -> Iterator[Finding]:
-    """Yield what to know of the runs' times before days are compared.
-
-    Parameters
-    ----------
-    records
-        Of a catalogue; those left out do not count.
-    """
+    """Yield what to know of the runs' times before days are compared; runs that are left out do not count."""
     used = [record for record in records if record.is_used]
     dated = [record for record in used if record.first_stamp >= FIRST_DATE]
     yield from _no_date(used)

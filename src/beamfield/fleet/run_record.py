@@ -220,19 +220,9 @@ class RunRecord:
 
 
 def record_from_json(content: bytes, path: str, sensors: dict[str, Mapping[str, Any]] | None = None) -> RunRecord:
-    """Return the record of a file.
+    """Return the record of a file, or raise FormatError.
 
-    Parameters
-    ----------
-    content, path
-        The file's bytes, and where they are from.
-    sensors
-        Those of other records, by what they say: equal ones are shared, as mounts are nearly all of a record.
-
-    Raises
-    ------
-    FormatError
-        If it is no record.
+    Sensors of other records, by what they say, are shared if equal: mounts are nearly all of a record.
     """
     try:
         values = json.loads(content)

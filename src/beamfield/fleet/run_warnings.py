@@ -18,13 +18,7 @@ URGENCY = {
 
 
 def run_warnings(runs: Sequence[RunRecord]) -> Iterator[tuple[float, Finding]]:
-    """Yield the warnings about a robot, each once, with how urgent it is.
-
-    Parameters
-    ----------
-    runs
-        All runs of the robot, used or not.
-    """
+    """Yield the warnings about a robot in all its runs, used or not, each once, with how urgent it is."""
     for name in URGENCY:
         found = [(_urgency(one), run, one) for run in runs for one in run.findings if one.name == name]
         if found:

@@ -111,17 +111,7 @@ def content_of(job: ScanJob) -> RunContent:
 
 
 def reason_of(error: Exception, job: ScanJob, files: RunFiles | None = None) -> str:
-    """Return an error in one line for a record: with the files' addresses as the manifest gives them.
-
-    Parameters
-    ----------
-    error
-        What came of reading.
-    job
-        The run.
-    files
-        As they are called on this machine.
-    """
+    """Return an error in one line for a record: with the files' addresses as the manifest gives them."""
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror

@@ -29,26 +29,11 @@ WORKER_DIED = "the workers that read it died, of too little memory most often"
 
 
 def scan_run(job: ScanJob) -> RunRecord:
-    """Scan a run into a catalogue.
+    """Scan a run, whose content is known, into a catalogue; its record has its beams, or says why they are left out.
 
     Beams are written first and the record last: a run that is interrupted is not there, and done again. Nothing is done
-    if another scan has done it.
-
-    Parameters
-    ----------
-    job
-        The run, whose content is known.
-
-    Returns
-    -------
-    Its record: with its beams, or why they are left out.
-
-    Raises
-    ------
-    MissingDependencyError
-        If its log needs a package that is not installed.
-    OSError
-        If the catalogue cannot be written.
+    if another scan has done it. MissingDependencyError if its log needs a package that is not installed, OSError if the
+    catalogue cannot be written.
     """
     done = _record_of(job)
     if done is not None and done.key == job.content.key != "":

@@ -52,27 +52,11 @@ class Shard:
         return self.folder.shown_path(self.path)
 
     def read(self, columns: Sequence[str], *, fit_only: bool = False, thin: int = 1) -> Columns:
-        """Return columns as arrays, in the order of the file: by scan and beam.
+        """Return columns among `COLUMNS` as arrays, in the order of the file: by scan and beam; `run` as text.
 
-        Parameters
-        ----------
-        columns
-            Names among `COLUMNS`.
-        fit_only
-            Without the beams that are held out.
-        thin
-            One beam in this many, spread over scans, bearings and shards.
-
-        Returns
-        -------
-        Arrays of the types of the schema; `run` as text.
-
-        Raises
-        ------
-        FormatError
-            If the file is not there, is damaged, is no Parquet, or has another schema.
-        InvalidInputError
-            If there is no such column, or thin < 1.
+        `fit_only` leaves out the beams that are held out; one beam in `thin` is read, spread over scans, bearings and
+        shards. FormatError if the file is not there, is damaged, is no Parquet, or has another schema;
+        InvalidInputError if there is no such column, or thin < 1.
         """
         parts = list(self.batches(columns, fit_only=fit_only, thin=thin))
         if len(parts) == 1:
@@ -84,20 +68,7 @@ class Shard:
     def batches(
         self, columns: Sequence[str], rows: int = 1_000_000, *, fit_only: bool = False, thin: int = 1
     ) -> Iterator[Columns]:
-        """Yield what `read` returns in parts of at most so many rows; none of them is empty.
-
-        Parameters
-        ----------
-        columns, fit_only, thin
-            As for `read`.
-        rows
-            At least 1.
-
-        Raises
-        ------
-        FormatError, InvalidInputError
-            As for `read`.
-        """
+        """Yield what `read` returns in parts of at most so many rows; none of them is empty."""
         if unknown := [name for name in columns if name not in COLUMNS]:
             raise InvalidInputError(f"columns: expected names among {', '.join(COLUMNS)}; got {unknown[0]!r}")
         as_count(thin, "thin", least=1)

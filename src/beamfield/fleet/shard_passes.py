@@ -101,15 +101,7 @@ class Part:
 
 
 def shard_parts(catalogue: Catalogue, thin: int = 1) -> list[Part]:
-    """Return the shards of a catalogue, and how their beams are read, by path.
-
-    Parameters
-    ----------
-    catalogue
-        With the beams.
-    thin
-        One beam in this many.
-    """
+    """Return the shards of a catalogue by path, to be read one beam in `thin`."""
     records = {record.run: record for record in catalogue.used}
     parts = []
     for shard in catalogue.shards():
@@ -190,21 +182,10 @@ class ShardedLikelihood:
 def add_statistics(
     first: ExpectedStatistics, second: ExpectedStatistics, *, theta: FloatArray, limits: SensorLimits
 ) -> ExpectedStatistics:
-    """Return the statistics of two sets of beams together.
+    """Return the statistics of two sets of beams together, of E-steps with the same working vector theta (8,).
 
-    Parameters
-    ----------
-    first, second
-        Of E-steps with the same `theta`.
-    theta
-        (8,) working vector.
-    limits
-        Of the sensor.
-
-    Returns
-    -------
-    Their sums. Nodes are cut into bins as beams are, and 8 nodes stand for those of a bin: what the M-step integrates
-    is a polynomial there to rounding.
+    Nodes are cut into bins as beams are, and 8 nodes stand for those of a bin: what the M-step integrates is a
+    polynomial there to rounding.
     """
     both = replace(
         first,

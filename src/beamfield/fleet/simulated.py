@@ -256,18 +256,9 @@ def changed_site(size: FleetSize, site: Site) -> tuple[OccupancyGrid, tuple[Chan
 
 
 def simulate_drive(plan: FleetPlan, number: int, day: int) -> tuple[ScanLog, FloatArray]:
-    """Return what a robot records on a day, and its true poses.
+    """Return what a robot records on a day, with odometry but without poses, and its true poses (t, 3).
 
-    Parameters
-    ----------
-    plan
-        The fleet.
-    number, day
-        Of the robot and the day, from 0.
-
-    Returns
-    -------
-    The log, with odometry but without poses, and the true poses (t, 3).
+    Robots and days are counted from 0.
     """
     size, robot = plan.size, plan.robots[number]
     site = plan.sites[robot.site]

@@ -31,22 +31,9 @@ class _Drive(NamedTuple):
 
 
 def write_fleet(folder: Path, plan: FleetPlan, engine: Engine, *, progress: Progress | None = None) -> dict[str, Any]:
-    """Write all files of a simulated fleet.
+    """Write all files of a simulated fleet into an empty folder of this machine, which the engine's processes reach.
 
-    Parameters
-    ----------
-    folder
-        An empty folder of this machine.
-    plan
-        What to simulate.
-    engine
-        Where drives are simulated; its processes must reach the folder.
-    progress
-        Called with drives done and in all.
-
-    Returns
-    -------
-    What is true, as truth.json has it: "cut_off" names the log that was cut off in the middle.
+    What is true comes back, as truth.json has it: "cut_off" names the log that was cut off in the middle.
     """
     (folder / "maps").mkdir()
     for site in plan.sites:
@@ -104,12 +91,7 @@ def _write_drive(drive: _Drive) -> str:
 def write_raw_carmen(path: Path, sensor: SensorLog) -> None:
     """Write scans and odometry as a robot records them in CARMEN: RAWLASER1 and ODOM lines, compressed.
 
-    Parameters
-    ----------
-    path
-        The file.
-    sensor
-        Scans of a laser on the robot's axis with equal steps, and odometry.
+    The laser is on the robot's axis and has equal steps.
     """
     finder, mounts = sensor.finder, sensor.finder.mounts
     step = float(mounts[1, 2] - mounts[0, 2]) if len(mounts) > 1 else math.radians(1.0)

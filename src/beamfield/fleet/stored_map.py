@@ -34,13 +34,7 @@ def store_map(folder: Folder, grid: OccupancyGrid, info: MapInfo) -> None:
 
 
 def load_map(folder: Folder, info: MapInfo) -> OccupancyGrid:
-    """Return a map.
-
-    Raises
-    ------
-    FormatError
-        If the file is not there, is damaged, or is another map.
-    """
+    """Return a map; FormatError if the file is not there, is damaged, or is another map."""
     shown = folder.shown_path(_name(info))
     expected = 8 * FRAME + 4 * math.prod(info.shape)
     try:

@@ -45,15 +45,7 @@ class FilterRun:
 
 
 def read_run(path: str | Path) -> FilterRun:
-    """Read the folder that ``beamfield localize`` wrote, or a trajectory alone, of any program.
-
-    Raises
-    ------
-    FormatError
-        As `read_trajectory`, of either file.
-    OSError
-        As the file system says.
-    """
+    """Read the folder that ``beamfield localize`` wrote, or a trajectory alone, of any program."""
     source = Path(path)
     if not source.is_dir():
         return FilterRun(read_trajectory(source), np.empty(0), ())
@@ -68,13 +60,8 @@ def read_run(path: str | Path) -> FilterRun:
 def write_particles(path: Path, clouds: Iterable[tuple[float, FloatArray]]) -> None:
     """Write particles as CSV, one a row, compressed with gzip, whole or not at all.
 
-    Parameters
-    ----------
-    path
-        The file to write.
-    clouds
-        Stamps, seconds, and poses (n, 3), in the order of time; poses are written to a tenth of a millimetre and of a
-        milliradian.
+    Clouds are stamps, seconds, and poses (n, 3), in the order of time; poses are written to a tenth of a millimetre and
+    of a milliradian.
     """
     packed = io.BytesIO()
     # Without a time or a name in it, the same run writes the same bytes.

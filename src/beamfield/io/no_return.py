@@ -60,36 +60,22 @@ def resolve_no_return(
 
     In this order:
 
-    1. Readings that reach the limit (`max_range`, else `declared_max` unless more than `CONTRADICTING_SHARE` of the
-       readings are ordinary ones beyond it) are no return.
+    1. Readings that reach the limit (`max_range`, which the user gives, else `declared_max`, unless more than
+    `CONTRADICTING_SHARE` of the readings are ordinary ones beyond it) are no return.
+
     2. "detect" looks for *codes*: the most frequent value in the top tenth of the readings, and its neighbours within
-       0.2%, if it is `CONTRAST` times as frequent as the values next below it. Without a limit from (1) the
-       smallest code is the limit.
+    0.2%, if it is `CONTRAST` times as frequent as the values next below it. Without a limit from (1) the smallest code
+    is the limit.
+
     3. "detect" takes zeros as no return if at least 1% of the readings are 0, there are no codes, and none is +inf:
-       readings beyond a declared limit are glitches then, and no way to say that there was no return.
+    readings beyond a declared limit are glitches then, and no way to say that there was no return.
+
     4. Without any limit so far, it is set just beyond the largest reading, and a note says so.
 
-    Zeros that are not explained so and negative readings are not measurements (NaN).
-
-    Parameters
-    ----------
-    ranges
-        (t, k) metres, as in the file; NaN and +inf keep their meaning.
-    rule
-        "detect"; "none": only (1), (4); or the values in metres that mean "no return".
-    declared_max
-        The limit that the file declares, in metres.
-    max_range
-        The limit that the user gives, in metres; always believed.
-
-    Returns
-    -------
-    The ranges, the limit, the policy with the share of *all* readings that are no return, and notes.
-
-    Raises
-    ------
-    InvalidInputError
-        If the rule or a limit makes no sense.
+    Zeros that are not explained so and negative readings are not measurements (NaN). Other rules are "none", with (1)
+    and (4) alone, or the values in metres that mean "no return". Ranges are (t, k) as in the file; NaN and +inf keep
+    their meaning. The policy says which share of *all* readings is no return. InvalidInputError if the rule or a limit
+    makes no sense.
     """
     _check(rule, declared_max, max_range)
     z = np.array(ranges, dtype=np.float64)

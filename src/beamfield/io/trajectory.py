@@ -87,12 +87,7 @@ def read_trajectory(path: str | Path) -> Track:
 def is_pose_table(path: str | Path) -> bool:
     """Return whether a file is a table of poses by its first row, TUM or CSV, and no log.
 
-    Raises
-    ------
-    FormatError
-        If it is binary, or its gzip stream is damaged.
-    OSError
-        As the file system says.
+    FormatError if it is binary, or its gzip stream is damaged.
     """
     first = next(_rows(Path(path)), None)
     return first is not None and bool(_table_of(first))
@@ -109,10 +104,7 @@ def _table_of(first: Line) -> str:
 def write_tum(path: str | Path, track: Track) -> None:
     """Write a trajectory as TUM lines ``t x y z qx qy qz qw`` with nine decimals, whole or not at all.
 
-    Raises
-    ------
-    InvalidInputError
-        If a pose or stamp is not finite.
+    InvalidInputError if a pose or stamp is not finite.
     """
     poses = np.asarray(track.poses, dtype=np.float64)
     stamps = np.asarray(track.stamps, dtype=np.float64)

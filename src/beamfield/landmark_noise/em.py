@@ -119,18 +119,8 @@ class NoiseLikelihood:
     def m_step(self, theta: NoiseTheta, of_landmark: FloatArray, weights: FloatArray) -> NoiseTheta:
         """Return the parameters that maximise the expected log-likelihood; never less likely than `theta`.
 
-        Parameters
-        ----------
-        theta
-            Where the responsibilities come from.
-        of_landmark
-            (n,) responsibilities of the landmarks, from `e_step`.
-        weights
-            (n,) how often each sighting counts.
-
-        Returns
-        -------
-        The new parameters; what is held stays.
+        What is held stays. `of_landmark` (n,) are the responsibilities of the landmarks, from `e_step` at theta;
+        weights (n,) say how often each sighting counts.
         """
         w = of_landmark * weights
         rate = theta.spurious_rate
@@ -177,18 +167,8 @@ def climb_noise(
 ) -> NoiseClimb:
     """Climb the log-likelihood by EM.
 
-    Parameters
-    ----------
-    likelihood
-        What is climbed.
-    start
-        Where to begin.
-    weights
-        (n,) how often each sighting counts; None for once.
-    tolerance
-        Nats per sighting that all further iterations together may promise, judged from how fast gains shrink.
-    max_iterations
-        Most iterations.
+    Weights (n,) say how often each sighting counts; None for once. It ends where all further iterations together
+    promise less than the tolerance, in nats per sighting, judged from how fast gains shrink.
     """
     counts = np.ones(len(likelihood)) if weights is None else weights
     theta = best = start
@@ -213,9 +193,7 @@ def climb_noise(
 def noise_starts(likelihood: NoiseLikelihood) -> list[NoiseTheta]:
     """Return where to begin: one start trusts the middle half of the residuals, one all of them.
 
-    Returns
-    -------
-    Two starts; sigmas are NaN for what was never measured.
+    Sigmas are NaN for what was never measured.
     """
     e = likelihood.ranges[likelihood.real & likelihood.has_range]
     b = likelihood.bearings[likelihood.real & likelihood.has_bearing]

@@ -47,16 +47,8 @@ def noise_findings(
     ``no-spurious``, ``bearing-unrelated``, and for ranges and bearings ``range-bias``, ``range-exact``,
     ``range-blocks-depend``, ``range-heavy-tails``, ``range-sigma-by-distance``, ``range-bias-by-landmark``.
 
-    Parameters
-    ----------
-    table, climb, intervals
-        What was learned from what.
-    ids
-        (N,) of the map's landmarks.
-    residuals
-        Of range and bearing, bias and scale taken out; each (n,).
-    of_landmark
-        (n,) how probably each sighting is of its landmark.
+    The ids (N,) are of the map's landmarks; residuals (n,) are of range and bearing, bias and scale taken out;
+    `of_landmark` (n,) is how probably each sighting is of its landmark.
     """
     theta = climb.theta
     yield from (

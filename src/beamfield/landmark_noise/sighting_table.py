@@ -64,22 +64,7 @@ class SightingTable:
         return wrap_angle(self.bearings - self.expected_bearings)
 
     def subset(self, rows: ArrayLike) -> SightingTable:
-        """Return only the given rows, in the given order.
-
-        Parameters
-        ----------
-        rows
-            Indices, or a mask (n,).
-
-        Returns
-        -------
-        The table with the same numbers of features left out.
-
-        Raises
-        ------
-        InvalidInputError
-            If the choice is neither indices that are there nor a mask of the right length.
-        """
+        """Return only the given rows, indices or a mask (n,), in the given order; as many features stay left out."""
         columns = ("ranges", "bearings", "expected_ranges", "expected_bearings", "landmarks", "stamps", "blocks")
         return subset_of(self, rows, len(self), "rows", columns)
 
@@ -89,25 +74,11 @@ def sighting_table(
 ) -> SightingTable:
     """Put every feature whose landmark and pose are known beside its true range and bearing.
 
-    Parameters
-    ----------
-    landmark_map
-        Where the landmarks are.
-    log
-        Poses and features.
-    mount
-        (3,) pose of the sensor on the robot, metres and radians.
-    block_s
-        Length of a block in seconds. None: the log's places where it has them, else a 24th of the log.
+    The mount (3,) is the pose of the sensor on the robot. A block is block_s seconds long; None: the log's places where
+    it has them, else a 24th of the log.
 
-    Returns
-    -------
     One row per feature with a range or a bearing; what is of no landmark has NaN as its true range and bearing.
-
-    Raises
-    ------
-    InvalidInputError
-        If an id is not in the map (it is named), or the mount or the length is not one.
+    InvalidInputError names an id that is not in the map.
     """
     sensor = as_poses(mount, "mount")
     require(sensor.shape == (3,), "mount", "shape (3,)", sensor.shape)

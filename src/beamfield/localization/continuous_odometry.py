@@ -24,18 +24,9 @@ class ContinuousOdometry:
         """Steps that were not followed."""
 
     def add(self, pose: FloatArray, stamp: float | None) -> bool:
-        """Go on to another pose.
+        """Go on to another pose (3,), as the odometry reports it; return whether it is finite: if not, nothing changes.
 
-        Parameters
-        ----------
-        pose
-            (3,) as the odometry reports it.
-        stamp
-            Seconds; None: the step is followed, however long.
-
-        Returns
-        -------
-        Whether the pose is finite; if not, nothing changes.
+        Without a stamp the step is followed, however long.
         """
         x, y, theta = pose.tolist()
         if not math.isfinite(x + y + theta):

@@ -118,19 +118,8 @@ def choose_course(
 ) -> FoundCourse:
     """Return the course through the log, with odometry put right where its sign is wrong.
 
-    Parameters
-    ----------
-    log, grid, drive, walls
-        The log and the map, and both prepared.
-    start
-        (3,) where the first scan was taken, roughly; None if that is not known.
-    report
-        Called with (stage, done, total).
-
-    Raises
-    ------
-    TrajectoryNotFoundError
-        If no course fits, two fit equally well, or one fits only scans that are mirrored.
+    The start (3,) is where the first scan was taken, roughly; None if that is not known. TrajectoryNotFoundError if no
+    course fits, two fit equally well, or one fits only scans that are mirrored.
     """
     limit = MOST_COST if start is None else MOST_COST_FROM_START
     search = partial(_hypotheses, grid=grid, walls=walls, start=start, report=report)
@@ -168,16 +157,8 @@ def without_false_jumps(
 ) -> Course:  # fmt: skip
     """Return the course without the jumps without which no fewer beams agree with the map, or it costs no more.
 
-    Hypotheses are followed by end points, which fit walls behind walls as well.
-
-    Parameters
-    ----------
-    log, grid, drive, start
-        As for `choose_course`.
-    followed
-        The hypotheses that the course is made of.
-    course
-        The cheapest way through them.
+    Hypotheses are followed by end points, which fit walls behind walls as well. The course is the cheapest way through
+    those `followed`.
     """
     bounds = [0, *course.jumps, len(course.which)]
     for i, jump in enumerate(course.jumps, 1):
@@ -201,14 +182,8 @@ def without_false_jumps(
 def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -> list[Judged]:
     """Return the courses without jumps if the first is beyond doubt though its readings fit the map poorly, or none.
 
-    Parameters
-    ----------
-    judged
-        Courses, the cheapest first.
-    start
-        (3,) where the first scan was taken, if that is given: there need not be another course that begins there.
-    n_scans
-        How many scans were held to the map.
+    The cheapest course comes first; n_scans were held to the map. If a start (3,) is given, there need not be another
+    course that begins there.
     """
     best, *others = sorted(judged, key=lambda pair: len(pair[1].jumps) > 0)
     jumping = min((one.cost for one, course in others if len(course.jumps)), default=np.inf)

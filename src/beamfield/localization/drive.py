@@ -63,15 +63,7 @@ class Drive:
 
 
 def prepare(log: SensorLog, odometry: FloatArray) -> Drive:
-    """Prepare a log.
-
-    Parameters
-    ----------
-    log
-        At least one scan.
-    odometry
-        (t, 3) finite somewhere.
-    """
+    """Prepare a log of at least one scan, with odometry (t, 3) that is finite somewhere."""
     known = np.isfinite(odometry).all(axis=1)
     # Time goes on where a recorder drops scans; where it runs backwards, the order of the log counts.
     when = np.maximum.accumulate(log.stamps)

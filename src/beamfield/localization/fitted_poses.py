@@ -74,10 +74,7 @@ class FittedPoses:
     def findings(self, measured: str = "") -> tuple[Finding, ...]:
         """Return where the poses come from and what that hides, and what was found on the way.
 
-        Parameters
-        ----------
-        measured
-            What was measured about it, in sentences.
+        `measured` says in sentences what was measured about it.
         """
         share = self.n_trusted / len(self.log)
         values = {"n_scans": float(len(self.log)), "n_trusted": float(self.n_trusted), "share_trusted": share,
@@ -116,23 +113,9 @@ class CrossFittedPoses(FittedPoses):
 @checked
 def fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | None = None, progress: Progress | None = None
               ) -> FittedPoses:  # fmt: skip
-    """Fit the poses of a log to a map, by all of its beams.
+    """Fit the poses of a log to a map, by all of its beams, and keep those that are trusted; see `fit_trajectory`.
 
-    Parameters
-    ----------
-    log, grid, start, progress
-        As for `fit_trajectory`.
-
-    Returns
-    -------
-    The log with the poses that are trusted.
-
-    Raises
-    ------
-    TrajectoryNotFoundError
-        If no pose is trusted, and as `fit_trajectory`.
-    InvalidInputError, TooLittleDataError
-        As `fit_trajectory`.
+    TrajectoryNotFoundError if none is, too.
     """
     fit = fit_trajectory(log, grid, start=start, progress=progress)
     posed, deviation = _posed(log, fit, fit.trusted), _deviation(fit, fit.trusted)

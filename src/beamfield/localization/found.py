@@ -23,17 +23,10 @@ CUT_SHARE = 1.0 / 3.0
 
 @checked
 def time_to_find(replay: Replay, log: SensorLog, first: int = 0) -> float | None:
-    """Return how long a filter took to find the robot.
+    """Return how long a filter took to find the robot, seconds from the scan `first` until the one that found it.
 
-    Returns
-    -------
-    Seconds from the scan `first` until the first one from which on 95% of the scans are within 0.5 m of the
-    reference; None if there is none that leaves at least a fifth of these scans.
-
-    Raises
-    ------
-    TooLittleDataError
-        If no scan from `first` on has a reference pose.
+    From that one on 95% of the scans are within 0.5 m of the reference; None if there is none that leaves at least a
+    fifth of the scans. TooLittleDataError if no scan from `first` on has a reference pose.
     """
     known = np.flatnonzero(np.isfinite(log.poses).all(axis=1))
     known = known[known >= first]
@@ -51,21 +44,10 @@ def time_to_find(replay: Replay, log: SensorLog, first: int = 0) -> float | None
 
 @checked
 def kidnapped(log: SensorLog) -> tuple[SensorLog, int]:
-    """Return a log in which the robot is carried elsewhere: the middle is cut out and odometry does not notice.
+    """Return a log in which the robot is carried elsewhere, and the number of the first scan after that.
 
-    Parameters
-    ----------
-    log
-        With odometry.
-
-    Returns
-    -------
-    The log, and the number of the first scan after the kidnapping.
-
-    Raises
-    ------
-    TooLittleDataError
-        If fewer than two scans on a side of the cut have odometry.
+    The middle is cut out and odometry does not notice. TooLittleDataError if fewer than two scans on a side of the cut
+    have odometry.
     """
     usable = np.flatnonzero(np.isfinite(log.odometry).all(axis=1))
     before = round(0.5 * (1.0 - CUT_SHARE) * len(usable))

@@ -22,16 +22,9 @@ SQRT_2PI = math.sqrt(2.0 * math.pi)
 
 
 def painted_walls(sigma: float, clutter: float, walls: Walls) -> HitNoise:
-    """Return the noise of hits whose wall stands anywhere in its painted cells.
+    """Return the noise of hits whose wall stands anywhere in its painted cells; sigma is in metres.
 
-    Parameters
-    ----------
-    sigma
-        Standard deviation, metres.
-    clutter
-        How likely a reading is that has nothing to do with the map, relative to a hit.
-    walls
-        The map's.
+    Clutter is how likely a reading is that has nothing to do with the map, relative to a hit.
     """
     return HitNoise(sigma, clutter, -walls.deepest, 0.5 * walls.resolution)
 
@@ -48,16 +41,9 @@ def stand_on_faces(signed: FloatArray, walls: Walls) -> bool:
 
 
 def fit_hits(signed: FloatArray, walls: Walls, on_faces: bool) -> HitNoise:
-    """Fit the noise of hits to where end points lie at known poses.
+    """Fit the noise of hits to signed distances (m,) of end points to the middle of the outermost cells.
 
-    Parameters
-    ----------
-    signed
-        (m,) signed distances of end points to the middle of the outermost cells.
-    walls
-        The map's.
-    on_faces
-        Whether hits lie on the faces of walls; if not, they may lie anywhere in the painted cells.
+    Poses are known. Hits lie on the faces of walls, or else anywhere in the painted cells.
     """
     near, reach = _near(signed, walls)
     if not len(near):

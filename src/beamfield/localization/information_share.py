@@ -21,22 +21,9 @@ KNOWN, USUAL = 10.0, 5.0
 def information_share(drive: Drive, walls: Walls, poses: FloatArray, hits: HitNoise) -> float:
     """Return the share of the end points' information that counts, because their errors depend on each other.
 
-    The end points to the left and those to the right each ask for a correction of the poses of a stretch. If errors
-    were independent, these would differ by as much as the covariances of both say; the share is by how much more the
-    squares of the differences are.
-
-    Parameters
-    ----------
-    drive, walls
-        The log and the map.
-    poses
-        (t, 3) as fitted.
-    hits
-        The noise of the end points.
-
-    Returns
-    -------
-    In (0, 1].
+    The end points to the left and those to the right each ask for a correction of the fitted poses (t, 3) of a stretch.
+    If errors were independent, these would differ by as much as the covariances of both say; the share, in (0, 1], is
+    by how much more the squares of the differences are.
     """
     bearing = np.arctan2(drive.points[:, 1], drive.points[:, 0])
     left = bearing > np.median(bearing)

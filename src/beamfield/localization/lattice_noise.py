@@ -61,23 +61,7 @@ def widened_field_for_lattice(
 ) -> LikelihoodFieldParameters:
     """Return the same for a likelihood field, whose sigma_hit is one for all ranges: that of the scan's r.m.s. range.
 
-    Parameters
-    ----------
-    parameters
-        The calibrated parameters.
-    scan
-        The scan; readings without return do not count.
-    resolution, headings
-        As for `widened_for_lattice`.
-
-    Returns
-    -------
-    The parameters with sigma_hit grown.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is not positive.
+    Readings without return do not count. InvalidInputError if a number is not positive.
     """
     step = _heading_step(resolution, headings)
     z = usable_ranges(scan.ranges, scan.finder)

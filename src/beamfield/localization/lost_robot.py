@@ -19,17 +19,8 @@ MOST_JUMPS = 0.1
 def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Finding | None:
     """Return a warning if the robot is elsewhere, the map is out of date, or the odometry cannot be followed.
 
-    Parameters
-    ----------
-    log, grid
-        The scans, with odometry, and the map.
-    poses
-        (t, 3) where a filter took the robot to be; NaN where it said nothing.
-
-    Returns
-    -------
-    The warning, "robot-lost" or "map-out-of-date"; None if scans agree, or if there is nothing to tell by: no reading,
-    or cones of a sonar.
+    Poses (t, 3) are where a filter took the robot to be; NaN where it said nothing. The warning is "robot-lost" or
+    "map-out-of-date"; None if scans agree, or if there is nothing to tell by: no reading, or cones of a sonar.
     """
     known = np.isfinite(log.odometry).all(axis=1)
     odometry, stamps = log.odometry[known], log.stamps[known]

@@ -16,15 +16,6 @@ LOST, LOST_TURN = 0.5, float(np.radians(20.0))
 def compare_own_poses(log: SensorLog, fit: TrajectoryFit) -> Finding | None:
     """Compare the poses of a log with the trajectory that was fitted to its scans and odometry.
 
-    Parameters
-    ----------
-    log
-        The log with its poses.
-    fit
-        Its trajectory.
-
-    Returns
-    -------
     "own-poses-lost", a warning, if they are more than 0.5 m or 20 degrees apart at some scan; else "own-poses-agree".
     None if no scan has both a pose and a fitted one that can be trusted.
     """

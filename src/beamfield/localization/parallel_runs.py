@@ -44,18 +44,9 @@ def run_each(
     progress: Progress | None = None,
     keep: Callable[[S, T], None] | None = None,
 ) -> list[T]:
-    """Return ``run(item)`` for each item, in their order.
+    """Return ``run(item)`` for each item, in their order; it returns the same in every process.
 
-    Parameters
-    ----------
-    run
-        What to call; it returns the same in every process.
-    items
-        Of the runs: their seeds, for example.
-    progress
-        Called with the number of runs done and in all.
-    keep
-        Called with each item and what its run returned, as soon as this process knows it.
+    `keep` is called with each item and what its run returned, as soon as this process knows it.
     """
     results: list[T] = []
     helpers, n = _helpers if n_threads() > 1 else None, len(items)

@@ -204,19 +204,8 @@ class PosePosterior:
     def divergence_from(self, other: PosePosterior) -> float:
         """Return the Kullback-Leibler divergence sum p log(p / q) to another posterior q on the same lattice.
 
-        Parameters
-        ----------
-        other
-            The posterior q.
-
-        Returns
-        -------
-        Nats, >= 0; inf where q excludes a cell that p allows.
-
-        Raises
-        ------
-        InvalidInputError
-            If the lattices are not the same object.
+        Nats, >= 0; inf where q excludes a cell that p allows. InvalidInputError if the lattices are not the same
+        object.
         """
         if other.lattice is not self.lattice:
             raise InvalidInputError("lattice: expected posteriors on the same lattice, got two lattices")
@@ -294,25 +283,9 @@ def pose_posterior(model: MeasurementModel[Any], z: Any, lattice: PoseLattice) -
 
 
 def posterior_of(log_likelihood: FloatArray, lattice: PoseLattice) -> PosePosterior:
-    """Normalise the log-likelihoods of a lattice's poses.
+    """Normalise the log-likelihoods (c, h) of a lattice's poses, in the order of `PoseLattice.centres`; uniform prior.
 
-    Parameters
-    ----------
-    log_likelihood
-        (c, h) nats; -inf where impossible.
-    lattice
-        Its poses, cells in the order of `PoseLattice.centres`.
-
-    Returns
-    -------
-    The posterior under a uniform prior.
-
-    Raises
-    ------
-    InvalidInputError
-        If the shape is another or a value is NaN or +inf.
-    TooLittleDataError
-        If every value is -inf.
+    InvalidInputError if the shape is another or a value is NaN or +inf, TooLittleDataError if every value is -inf.
     """
     shape = (int(lattice.inside.sum()), len(lattice.headings))
     require(log_likelihood.shape == shape, "log_likelihood", f"shape {shape}", log_likelihood.shape)

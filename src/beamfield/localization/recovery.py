@@ -245,24 +245,14 @@ class PosesFromLandmarks:
 def reweigh(
     weights: FloatArray, log_likelihood: FloatArray, least_share: float, out: FloatArray
 ) -> tuple[float, float, float]:
-    """Multiply weights by a likelihood, flattened so far that a share of their effective number is left.
+    """Multiply weights (n,) by a likelihood (n,), flattened so far that a share of their effective number is left.
 
-    Parameters
-    ----------
-    weights
-        (n,) with the sum 1.
-    log_likelihood
-        (n,) nats.
-    least_share
-        The likelihood is taken to the largest power, at most 1, that leaves this share of the effective number of
-        those weights that are possible by it; 0 takes the first power.
-    out
-        (n,) overwritten; may be `weights`.
+    The likelihood is taken to the largest power, at most 1, that leaves this share of the effective number of those
+    weights that are possible by it; 0 takes the first power. The weights sum to 1; out (n,) is overwritten, and may be
+    `weights`.
 
-    Returns
-    -------
-    log sum_i w_i p_i before any flattening, -inf where all are impossible and out is left alone; the effective number
-    of the new weights; the power.
+    Return log sum_i w_i p_i before any flattening, -inf where all are impossible and out is left alone; the effective
+    number of the new weights; the power.
     """
     trial = np.empty_like(weights)
     log_mean, effective = kernels.fill_weights(weights, log_likelihood, 1.0, trial)

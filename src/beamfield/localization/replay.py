@@ -137,16 +137,9 @@ class ReplayedFilter(Protocol):
     """A filter that can be replayed."""
 
     def run(self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator) -> Replay:
-        """Filter a log.
+        """Filter a log with odometry, whose reference poses are not looked at.
 
-        Parameters
-        ----------
-        log
-            With odometry; the reference poses are not looked at.
-        start
-            Where the robot is at the first scan; None if it can be anywhere on the map.
-        rng
-            Source of all randomness.
+        The start is where the robot is at the first scan; None if it can be anywhere on the map.
         """
         ...
 
@@ -295,17 +288,7 @@ def _difference(poses: FloatArray, truth: FloatArray) -> FloatArray:
 def reference_start(log: SensorLog, **spread: Any) -> tuple[int, PoseBelief]:
     """Return the first scan that has both a reference pose and odometry, and a belief around its reference pose.
 
-    Parameters
-    ----------
-    log
-        With reference poses.
-    **spread
-        As for `PoseBelief.around`.
-
-    Raises
-    ------
-    TooLittleDataError
-        If there is no such scan.
+    The spread is as for `PoseBelief.around`. TooLittleDataError if there is no such scan.
     """
     usable = np.flatnonzero(np.isfinite(log.poses).all(axis=1) & np.isfinite(log.odometry).all(axis=1))
     if not len(usable):

@@ -124,27 +124,11 @@ def systematic_indices(weights: ArrayLike, n: int, rng: np.random.Generator) -> 
 def draw_enough(
     weights: FloatArray, bins: IndexArray, n_bins: int, most: int, kld: KldSampling, rng: np.random.Generator
 ) -> IndexArray:
-    """Draw indices by weight, as many as the bins that are hit need.
+    """Draw indices by weight, as many as the bins that are hit need but at most `most`, in no order.
 
     The points on the cumulated weights follow each other at the golden ratio: they are spread nearly as evenly as
-    systematic ones, whenever the drawing stops.
-
-    Parameters
-    ----------
-    weights
-        (m,) at least 0, with the sum 1.
-    bins, n_bins
-        (m,) bin of each particle, and how many there are, as `bin_numbers` says.
-    most
-        Most draws.
-    kld
-        How many are enough.
-    rng
-        Source of randomness; one number is drawn.
-
-    Returns
-    -------
-    (n,) indices, in no order.
+    systematic ones, whenever the drawing stops. Weights (m,) sum to 1; bins (m,) are numbered as `bin_numbers` does.
+    One number is drawn from the generator.
     """
     out = np.empty(most, np.int64)
     enough = kld.particles_needed(np.arange(n_bins + 1))
@@ -153,12 +137,7 @@ def draw_enough(
 
 
 def bin_numbers(poses: FloatArray) -> tuple[IndexArray, int, IndexArray, NDArray[np.int32]]:
-    """Number the bins of poses.
-
-    Returns
-    -------
-    (n,) bin of each pose, how many there are, their keys, and the table in which keys are looked up.
-    """
+    """Return the bin of each pose (n,), how many there are, their keys, and the table in which keys are looked up."""
     numbers, keys = np.empty(len(poses), np.int64), np.empty(len(poses), np.int64)
     slots = np.full(1 << max(4, (2 * len(poses) - 1).bit_length()), -1, np.int32)
     n_bins = kernels.number_bins(poses, BIN_SIDE, BIN_SECTORS, slots, keys, numbers)

@@ -18,13 +18,6 @@ def odometry_from_scans(log: SensorLog, progress: Callable[[int, int], None]) ->
     """Return odometry (t, 3) that starts at (0, 0, 0): each scan aligned with the one before.
 
     The first guess is that the robot moves on as it did; where an alignment fails, that is what is kept.
-
-    Parameters
-    ----------
-    log
-        The scans.
-    progress
-        Called with (done, total) scans.
     """
     poses = np.zeros((len(log), 3))
     step, before = np.zeros(3), log.scan(0).every(BEAMS)

@@ -87,18 +87,9 @@ class Smoothed:
 
 def smooth(drive: Drive, walls: Walls, poses: FloatArray, cut: NDArray[np.bool_],
            progress: Callable[[int, int], None]) -> Smoothed:  # fmt: skip
-    """Fit a trajectory and the noise of its sensors, in turn.
+    """Fit a trajectory, from poses (t, 3) on, and the noise of its sensors, in turn.
 
-    Parameters
-    ----------
-    drive, walls
-        The log and the map.
-    poses
-        (t, 3) to start from.
-    cut
-        (t - 1,) steps over which odometry says nothing.
-    progress
-        Called with (done, total) rounds.
+    `cut` (t - 1,) are the steps over which odometry says nothing.
     """
     noise = Noise(painted_walls(FIRST_SIGMA, CLUTTER, walls), FIRST_STEP_NOISE, 0.2, FIRST_FREEDOM)
     state = _State(poses.copy(), np.zeros(3))

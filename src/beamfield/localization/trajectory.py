@@ -205,17 +205,8 @@ def fit_course(
 ) -> TrajectoryFit:
     """Fit all poses of a log whose course is known: the other steps of `fit_trajectory`.
 
-    Parameters
-    ----------
-    log
-        The log that the course was found for, or some beams of it: the poses are fitted to these.
-    grid, found, max_deviation, progress
-        The map, the course, and as for `fit_trajectory`.
-
-    Raises
-    ------
-    TooLittleDataError
-        If the log has next to no readings.
+    The log may have only some beams of that which the course was found for. TooLittleDataError if it has next to no
+    readings.
     """
     report = progress or (lambda _stage, _done, _total: None)
     walls, drive = walls_of(grid), with_points(found.drive, log)

@@ -87,18 +87,8 @@ def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: Fl
                       progress: Callable[[int, int], None]) -> tuple[list[Followed], ...]:  # fmt: skip
     """Search the map at several places of the log, and follow what is found forwards and backwards.
 
-    Parameters
-    ----------
-    drive, grid, walls
-        The log and the map.
-    start
-        (3,) where the first scan was taken, roughly; None if that is not known.
-    progress
-        Called with (done, total) places.
-
-    Returns
-    -------
-    Hypotheses as each of `FOLLOW_HITS` follows them.
+    The start (3,) is where the first scan was taken, roughly; None if that is not known. Hypotheses are those that each
+    of `FOLLOW_HITS` follows.
     """
     search, begun = GlobalSearch(_coarse(hollowed(grid)), sigma=SEARCH_SIGMA, angle_step=SEARCH_STEP), []
     places = _places(drive)

@@ -20,13 +20,8 @@ def walls_of(grid: OccupancyGrid) -> Walls:
     """Return the signed distance to the surfaces of a map's obstacles, cell by cell.
 
     It is the distance to the nearest occupied cell that has a neighbour which is not; negative in the occupied cells
-    behind those. So hits that lie inside walls painted too thick still say in which direction the surface is. The
-    table reaches half a metre beyond the map.
-
-    Parameters
-    ----------
-    grid
-        The map; it has occupied cells and others.
+    behind those. So hits that lie inside walls painted too thick still say in which direction the surface is. The table
+    reaches half a metre beyond the map, which has occupied cells and others.
     """
     margin = math.ceil(MARGIN / grid.resolution)
     distance = distance_to_obstacles(grid, only_boundaries=True, margin_cells=margin)

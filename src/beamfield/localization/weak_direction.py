@@ -47,33 +47,17 @@ class Slide:
 
 def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, direction: FloatArray, start: FloatArray, *,
                  lever: float, beam_spacing: float, window: float) -> Slide:  # fmt: skip
-    """Look for better poses along a line through an optimum, and weigh the whole line by its scores.
+    """Look for better poses along a line through an optimum (3,), and weigh the whole line by its scores.
 
     Along a corridor, the score has many peaks: a door frame that fits another, random readings that meet. The climb
     ends on one of them; the curvature there knows nothing of the rest.
 
-    Parameters
-    ----------
-    points
-        (n, 2) the scan's end points.
-    field
-        What they are aligned with.
-    pose
-        (3,) the optimum that the climb has found.
-    direction
-        (3,) which way to look, a move of one metre in x and y with the turn that goes with it.
-    start
-        (3,) initial pose of the alignment.
-    lever
-        As in `kernels.scan_alignment.ascend`.
-    beam_spacing
-        Angle between neighbouring beams, radians: scores are divided by the number of beams per independent one.
-    window
-        Half-width of the window that the caller searches, metres: how far off `start` may be.
+    The scan's end points are (n, 2). The direction (3,) is a move of one metre in x and y with the turn that goes with
+    it; the lever is as in `kernels.scan_alignment.ascend`. Scores are divided by the number of beams per independent
+    one, by the angle between neighbouring beams. The window is how many metres off the start (3,) of the alignment may
+    be.
 
-    Returns
-    -------
-    The best pose that was found, and how far the poses that fit about as well are spread along the line.
+    Return the best pose that was found, and how far the poses that fit about as well are spread along the line.
     """
     deviation, dependence = max(START_DEVIATION, window), max(INDEPENDENT_ANGLE / beam_spacing, 1.0)
     offsets = float(direction[:2] @ (start - pose)[:2]) + _steps(field.sigma_hit)

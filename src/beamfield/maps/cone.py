@@ -119,8 +119,8 @@ class ConeCaster:
         k = finder.n_beams
         edges = self._rays.expected_ranges(robots, _edges(finder))
         ranges: FloatArray = np.minimum(edges[..., :k], edges[..., k:])
-        rows, results = pose_rows(robots), ranges.reshape(len(edges.reshape(-1, 2 * k)), k)
-        self._shorten(rows, finder, results, np.empty((0, 0, 2)), np.empty((0, 0, 2), np.int32))
+        rows = pose_rows(robots)
+        self._shorten(rows, finder, ranges.reshape(len(rows), k), np.empty((0, 0, 2)), np.empty((0, 0, 2), np.int32))
         return ranges
 
     def expected_points(self, poses: ArrayLike, finder: RangeFinder) -> tuple[FloatArray, IntArray]:

@@ -163,23 +163,10 @@ class DistanceField:
         cls, grid: OccupancyGrid, *, max_distance: float | None = None, only_boundaries: bool = False,
         margin: float = 0.0,
     ) -> DistanceField:  # fmt: skip
-        """Work out the field of a map.
+        """Work out the field of a map, as `distance_to_obstacles`.
 
-        Parameters
-        ----------
-        grid, max_distance, only_boundaries
-            As for `distance_to_obstacles`.
-        margin
-            How far the field extends past the map's edges, metres, rounded up to whole cells.
-
-        Returns
-        -------
-        The field, with the map's distances and the margin.
-
-        Raises
-        ------
-        InvalidInputError
-            As for `distance_to_obstacles`, or if the margin is negative or not finite.
+        The margin is how far it extends past the map's edges, metres, rounded up to whole cells; neither negative nor
+        infinite.
         """
         if not 0.0 <= margin <= MAX_SIDE_CELLS * grid.resolution:
             raise InvalidInputError(f"margin: expected metres >= 0 and at most {MAX_SIDE_CELLS} cells, got {margin}")

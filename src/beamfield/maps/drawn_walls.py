@@ -71,26 +71,8 @@ def ranges_to_walls(counts: HitCounts, poses: FloatArray, finder: RangeFinder) -
     A ray goes to the first cell that stopped scans. A wall is the line through the end points around that cell, of
     beams in about the same direction, if they make a line, the ray meets it near the cell and not too grazingly, and
     most scans that reach it end there. Where there is no line, but nearly all scans end there, the ray ends at the mean
-    of the hits along it. Where nearly all scans pass, it goes on. All this looks at the map alone, never at the reading
-    that is going to be judged.
-
-    Parameters
-    ----------
-    counts
-        What `count_hits` found in other scans.
-    poses
-        (t, 3) poses of the robot, metres and radians.
-    finder
-        The sensor.
-
-    Returns
-    -------
-    Expected ranges, and how far to trust them.
-
-    Raises
-    ------
-    InvalidInputError
-        As for `RayCaster.cast`.
+    of the hits along it. Where nearly all scans pass, it goes on. All this looks at the map alone, what `count_hits`
+    found in other scans, never at the reading that is going to be judged.
     """
     from scipy import ndimage  # takes a third of a second to import
 

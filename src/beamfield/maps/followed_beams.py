@@ -59,23 +59,8 @@ def followed_beams(
 ) -> FollowedBeams:
     """Return where beams start, how far they are followed, and what their last cell is.
 
-    Parameters
-    ----------
-    ranges
-        (t, k) metres in the conventions of `Scan`.
-    finder
-        The sensor.
-    poses
-        (t, 3) poses of the robot, metres and radians.
-    resolution
-        Side of a cell, metres.
-    model
-        What a reading says about cells.
-
-    Raises
-    ------
-    InvalidInputError
-        If shapes do not fit or poses are not finite.
+    Ranges (t, k) are in the conventions of `Scan`, poses (t, 3) the robot's. InvalidInputError if shapes do not fit or
+    poses are not finite.
     """
     robots = as_poses(poses)
     z, kinds = lengths_and_kinds(ranges, finder, model)

@@ -72,32 +72,13 @@ class HitCounts:
 def count_hits(
     log: SensorLog, scans: NDArray[np.bool_], resolution: float, *, progress: Progress | None = None
 ) -> HitCounts:
-    """Count for each cell how many scans end in it and how many pass it.
+    """Count for each cell how many scans end in it and how many pass it, of those in the mask (t,) that have poses.
 
     A scan counts once per cell, however many of its beams meet it, and a hit counts before a pass. Readings without
-    return say nothing.
+    return say nothing. The grid holds all beams of the log, those of scans that were not chosen too.
 
-    Parameters
-    ----------
-    log
-        Scans with reference poses.
-    scans
-        (t,) mask of the scans to use; those without a pose are left out.
-    resolution
-        Side of a cell, metres.
-    progress
-        Called with the number of scans done and in total.
-
-    Returns
-    -------
-    Counts on a grid that holds all beams of the log, those of scans that were not chosen too.
-
-    Raises
-    ------
-    TooLittleDataError
-        If no scan has a pose.
-    InvalidInputError
-        If the resolution is not positive, or the map would have more than 10^8 cells; nothing is allocated then.
+    TooLittleDataError if no scan has a pose; InvalidInputError if the resolution is not positive, or the map would have
+    more than 10^8 cells; nothing is allocated then.
     """
     check_magnitude("resolution", resolution)
     posed = np.isfinite(log.poses).all(axis=1)
@@ -131,12 +112,10 @@ def count_hits(
 def grid_of_counts(
     hits: NDArray[np.float32], passes: NDArray[np.float32], first: NDArray[np.int64], resolution: float
 ) -> OccupancyGrid:
-    """Return the occupancy map by log-odds of counts.
+    """Return the occupancy map by log-odds of counts; NaN where nothing was seen.
 
-    Returns
-    -------
-    As `build_map`, but for bounds, which are applied to the sums, and for cells that were passed once, which are free.
-    NaN where nothing was seen.
+    It is as of `build_map`, but for bounds, which are applied to the sums, and for cells that were passed once, which
+    are free.
     """
     hit, passed, low, high = log_odds_steps(InverseSensorModel())
     log_odds = np.clip(hit * hits + passed * passes, low, high)

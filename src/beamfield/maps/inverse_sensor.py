@@ -79,11 +79,6 @@ CONFIDENT = InverseSensorModel(hit=0.97, passed=0.03)
 
 
 def log_odds_steps(model: InverseSensorModel) -> NDArray[np.float32]:
-    """Return what a hit and a pass add to the log-odds, and their bounds.
-
-    Returns
-    -------
-    (4,) steps of a hit and of a pass, lowest and highest log-odds.
-    """
+    """Return what a hit and a pass add to the log-odds, and the lowest and highest log-odds: (4,)."""
     p = np.array([model.hit, model.passed, model.lowest, model.highest])
     return np.log(p / (1.0 - p)).astype(np.float32)

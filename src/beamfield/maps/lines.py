@@ -127,17 +127,7 @@ class LineMap(MapWithIds):
 
 
 def normal_form(lines: FloatArray) -> FloatArray:
-    """Return lines with rho >= 0 and alpha in (-pi, pi]; a line through the origin keeps its direction.
-
-    Parameters
-    ----------
-    lines
-        (..., 2) rho in metres with either sign, and alpha in radians.
-
-    Returns
-    -------
-    (..., 2) the same lines.
-    """
+    """Return lines (..., 2) with rho >= 0 and alpha in (-pi, pi]; a line through the origin keeps its direction."""
     rho, alpha = lines[..., 0], lines[..., 1]
     # abs also turns -0 into 0.
     return np.stack([np.abs(rho), wrap_angle(np.where(rho < 0.0, alpha + np.pi, alpha))], axis=-1)

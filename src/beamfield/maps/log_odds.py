@@ -16,20 +16,9 @@ from beamfield.sensors import RangeFinder, usable_ranges
 def lengths_and_kinds(
     ranges: ArrayLike, finder: RangeFinder, model: InverseSensorModel
 ) -> tuple[FloatArray, NDArray[np.uint8]]:
-    """Return how far each reading is followed, and what its last cell is.
+    """Return how far readings (..., k) are followed, metres, and what the last cell of each is.
 
-    Parameters
-    ----------
-    ranges
-        (..., k) metres in the conventions of `Scan`.
-    finder
-        The sensor.
-    model
-        What a reading says about cells.
-
-    Returns
-    -------
-    (..., k) metres, and (..., k) `kernels.mapping.HIT`, `PASS` or `SKIP`: no measurement, of length 0.
+    That is `kernels.mapping.HIT`, `PASS` or `SKIP`: no measurement, of length 0.
     """
     z = usable_ranges(ranges, finder)
     kinds = np.full(z.shape, kernels.HIT, np.uint8)
@@ -47,13 +36,7 @@ def lengths_and_kinds(
 
 
 def check_size(size: FloatArray, resolution: float, max_cells: int) -> None:
-    """Refuse a map of too many cells, before it is allocated.
-
-    Raises
-    ------
-    InvalidInputError
-        If there are more cells.
-    """
+    """Refuse a map of too many cells, before it is allocated."""
     if not np.prod(size) <= max_cells:
         wide, tall = size * resolution
         raise InvalidInputError(
@@ -65,20 +48,10 @@ def check_size(size: FloatArray, resolution: float, max_cells: int) -> None:
 def grid_of_log_odds(
     log_odds: NDArray[np.float32], seen: NDArray[np.bool_], first: NDArray[np.int64], resolution: float
 ) -> OccupancyGrid:
-    """Return the smallest grid with all cells that were seen, or one unknown cell.
+    """Return the smallest grid, without yaw, with all cells that were seen, or one unknown cell; others are NaN.
 
-    Parameters
-    ----------
-    log_odds, seen
-        (rows, cols) log-odds of being occupied, and which cells were seen.
-    first
-        (col, row) of the first cell, in cells from the map's zero.
-    resolution
-        Side of a cell, metres.
-
-    Returns
-    -------
-    The map without yaw; cells that were not seen are NaN.
+    Log-odds of being occupied, and which cells were seen, are (rows, cols); the first cell is (col, row) cells from the
+    map's zero.
     """
     rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     if len(rows) == 0:

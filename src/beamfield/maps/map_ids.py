@@ -17,22 +17,7 @@ class MapWithIds:
     ids: NDArray[np.int64]
 
     def indices_of(self, ids: ArrayLike) -> NDArray[np.int64]:
-        """Return the index of the feature with each id.
-
-        Parameters
-        ----------
-        ids
-            Whole numbers, of any shape.
-
-        Returns
-        -------
-        Indices in [0, n), of the shape of `ids`.
-
-        Raises
-        ------
-        InvalidInputError
-            If the map has no such id; it is named.
-        """
+        """Return the index in [0, n) of the feature with each id; InvalidInputError names one that there is not."""
         wanted = np.asarray(ids, dtype=np.int64)
         found = self.by_id.take(self.ids.searchsorted(wanted, sorter=self.by_id), mode="clip")
         unknown = self.ids.take(found) != wanted
@@ -49,10 +34,7 @@ class MapWithIds:
 def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:
     """Return the ids of a map's n features as read-only integers; None numbers them from 1.
 
-    Raises
-    ------
-    InvalidInputError
-        If they are not whole numbers >= 0, not n of them, or one appears twice.
+    InvalidInputError if they are not whole numbers >= 0, not n of them, or one appears twice.
     """
     result = as_ids(np.arange(1, n + 1) if ids is None else ids, n, 0)
     values, counts = np.unique(result, return_counts=True)

@@ -171,8 +171,8 @@ def local_map(
 
 
 @checked
-def scan_map(scan: Scan, *, resolution: float, inverse_model: InverseSensorModel | None = None) -> OccupancyGrid:
-    """Build the local map of a single scan, in the robot's frame.
+def scan_map(scan: Scan, *, resolution: float) -> OccupancyGrid:
+    """Build the local map of a single scan, in the robot's frame, by a confident inverse model.
 
     Parameters
     ----------
@@ -180,8 +180,6 @@ def scan_map(scan: Scan, *, resolution: float, inverse_model: InverseSensorModel
         The scan.
     resolution
         Side of a cell, metres.
-    inverse_model
-        What a reading says about cells; by default the confident one.
 
     Returns
     -------
@@ -200,7 +198,7 @@ def scan_map(scan: Scan, *, resolution: float, inverse_model: InverseSensorModel
     >>> scan_map(scan, resolution=0.5).occupied.tolist()
     [[False, False, True]]
     """
-    mapper = OccupancyMapper(resolution, inverse_model=CONFIDENT if inverse_model is None else inverse_model)
+    mapper = OccupancyMapper(resolution, inverse_model=CONFIDENT)
     mapper.add(scan.ranges[None], scan.finder, np.zeros((1, 3)))
     return mapper.to_grid()
 

@@ -89,13 +89,7 @@ class MarkerMap:
 
 
 def as_ids(ids: Iterable[MarkerId]) -> tuple[MarkerId, ...]:
-    """Return ids as plain Python numbers and strings.
-
-    Raises
-    ------
-    InvalidInputError
-        If one is neither an integer nor a string.
-    """
+    """Return ids as plain Python numbers and strings; refuse what is neither."""
     result: list[MarkerId] = []
     for name in ids:
         if isinstance(name, str):

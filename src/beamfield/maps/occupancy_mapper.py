@@ -87,27 +87,11 @@ class OccupancyMapper:
         self.n_scans += len(starts)
 
     def make_room(self, ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike) -> None:
-        """Grow so that these scans fit, without entering them.
-
-        Parameters
-        ----------
-        ranges, finder, poses
-            As for `add`.
-
-        Raises
-        ------
-        InvalidInputError
-            As for `add`.
-        """
+        """Grow so that these scans fit, without entering them; see `add`."""
         self._grow(followed_beams(ranges, finder, poses, self.resolution, self.inverse_model))
 
     def to_grid(self) -> OccupancyGrid:
-        """Return the map so far.
-
-        Returns
-        -------
-        The smallest grid with all cells that were seen, NaN where none was; one unknown cell if there is none.
-        """
+        """Return the map so far: all cells that were seen, NaN where none was; one unknown cell if there is none."""
         return grid_of_log_odds(self._log_odds, self._stamps >= 0, self._first, self.resolution)
 
     def _grow(self, beams: FollowedBeams) -> None:

@@ -20,19 +20,10 @@ BESIDE, DIRECTIONS = (0.5, 1.0, 2.0), 8
 
 
 def find_outdated_map(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Finding | None:
-    """Return a warning if most readings disagree with the map, but the poses are right all the same.
+    """Return a warning if most readings disagree with the map, but the poses (t, 3) are right all the same.
 
-    Parameters
-    ----------
-    log, grid
-        The scans and the map.
-    poses
-        (t, 3) where the scans were taken; NaN where that is not known.
-
-    Returns
-    -------
-    The warning; None if most readings agree, or nothing shows that the poses are right. They are where far fewer
-    readings would agree a little way off, in any direction.
+    None if most readings agree, or nothing shows that the poses are right. They are where far fewer readings would
+    agree a little way off, in any direction.
     """
     caster = RayCaster(grid)
     agrees = _median(log, grid, poses, caster)

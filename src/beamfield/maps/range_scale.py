@@ -18,13 +18,7 @@ def longest_in(grid: OccupancyGrid) -> float:
 
 
 def require_metres(log: SensorLog, grid: OccupancyGrid) -> None:
-    """Refuse scans most of whose readings are longer than the map, or shorter than a cell: another unit or place.
-
-    Raises
-    ------
-    InvalidInputError
-        If half of the readings that hit something are longer than the map's diagonal, or shorter than a cell.
-    """
+    """Refuse scans most of whose readings are longer than the map, or shorter than a cell: another unit or place."""
     ranges = usable_ranges(log.ranges[:: max(1, len(log) // SCANS)], log.finder)
     hits = ranges[ranges < log.finder.max_range]
     if not len(hits):

@@ -119,13 +119,7 @@ class RangeTablePlan:
         return np.column_stack([points, np.full(len(points), self.grid.origin[2])])
 
     def code_blocks(self, progress: Progress | None = None) -> Iterator[Codes]:
-        """Cast the rays and yield their codes (n, headings), some places at a time.
-
-        Parameters
-        ----------
-        progress
-            Called with how many places are done, and of how many.
-        """
+        """Cast the rays and yield their codes (n, headings), some places at a time, which the progress counts."""
         finder = RangeFinder.from_bearings(np.arange(self.headings) * (2.0 * np.pi / self.headings), self.reach)
         step = max(1, RAYS_PER_BLOCK // self.headings)
         for first in range(0, self.n_places, step):
@@ -138,13 +132,7 @@ class RangeTablePlan:
                 progress(last, self.n_places)
 
     def check_size(self, max_gigabytes: float) -> None:
-        """Refuse a table that is larger than it may be.
-
-        Raises
-        ------
-        InvalidInputError
-            With the size, and what makes it smaller.
-        """
+        """Refuse a table that is larger than it may be, and say what makes it smaller."""
         check_magnitude("max_gigabytes", max_gigabytes)
         if self.n_bytes > max_gigabytes * 1e9:
             raise InvalidInputError(

@@ -40,20 +40,9 @@ class RayAgreement(NamedTuple):
 
 
 def ray_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray, scans: NDArray[np.int64]) -> RayAgreement:
-    """Compare scans with the map along their beams.
+    """Compare scans (n,), by index, with the map along their beams from poses (n, 3).
 
-    Parameters
-    ----------
-    log, grid
-        The scans and the map.
-    poses
-        (n, 3) where they were taken.
-    scans
-        (n,) their indices.
-
-    Returns
-    -------
-    Shares; agreement 0 and the rest 1 if no beam should hit anything.
+    Agreement is 0 and the rest 1 if no beam should hit anything.
     """
     chosen = _spread(np.arange(len(scans)), SCANS)
     z, expected = _readings(log, RayCaster(grid), poses[chosen], scans[chosen])
@@ -68,24 +57,11 @@ def ray_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray, scans:
 def scan_agreement(
     log: SensorLog, grid: OccupancyGrid, poses: FloatArray, *, most: int = SCANS, caster: RayCaster | None = None
 ) -> FloatArray:
-    """Return the share of the beams of each scan that are as long as the map says.
+    """Return the share of each scan's beams (t,) that are as long as the map says, of `most` scans spread over the log.
 
-    Parameters
-    ----------
-    log, grid
-        The scans and the map.
-    poses
-        (t, 3) where the scans were taken; those without a pose are left out.
-    most
-        Look at so many scans, spread over the log.
-    caster
-        Of the map, where it is there already.
-
-    Returns
-    -------
-    (t,) shares of the beams that should hit something, or of three quarters of those that do where that is more: where
-    most beams should see nothing, readings of people would outvote the walls. NaN for scans without such beams, and
-    for those that are left out.
+    It is the share of the beams that should hit something, or of three quarters of those that do where that is more:
+    where most beams should see nothing, readings of people would outvote the walls. NaN for scans without such beams or
+    a pose (t, 3), and for those that are left out. The caster is of the map, where it is there already.
     """
     scans = _spread(np.flatnonzero(np.isfinite(poses).all(axis=1)), most)
     z, expected = _readings(log, caster or RayCaster(grid), poses[scans], scans)
@@ -97,20 +73,10 @@ def scan_agreement(
 
 
 def passing_shares(z: FloatArray, expected: FloatArray, grid: OccupancyGrid, max_range: float) -> FloatArray:
-    """Return the share of a scan's beams that would have passed through a wall, at many poses.
+    """Return the share of a scan's beams that would have passed through a wall, at many poses (n,).
 
-    Parameters
-    ----------
-    z
-        (k,) readings, metres; max_range where nothing returned.
-    expected
-        (n, k) ranges by the map.
-    grid, max_range
-        The map, and the sensor's range, metres.
-
-    Returns
-    -------
-    (n,) shares of the beams counted by `scan_agreement`; 0 where there are none.
+    Readings z (k,) are max_range where nothing returned; `expected` (n, k) are ranges by the map. Beams are counted as
+    by `scan_agreement`; 0 where there are none.
     """
     passes = ((expected < max_range) & (z - expected > _tolerance(grid, expected))).sum(axis=1)
     return np.asarray(passes / np.maximum(_counted(z, expected, max_range), 0.5))

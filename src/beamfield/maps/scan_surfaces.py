@@ -47,18 +47,8 @@ class Fan:
 def measured_fans(scan: Scan, pose: FloatArray, free_without_return: bool) -> list[Fan]:
     """Return the beams of a scan, fan by fan: those that start at one place, to a micrometre, are a fan.
 
-    Parameters
-    ----------
-    scan
-        The scan.
-    pose
-        (3,) of its robot in the frame of the result, metres and radians.
-    free_without_return
-        Whether a beam without return saw free space up to its limit.
-
-    Returns
-    -------
-    Fans in the frame of the pose; none for a sensor without beams.
+    Fans are in the frame of the robot's pose (3,); none for a sensor without beams. A beam without return may count as
+    having seen free space up to its limit.
     """
     finder = scan.finder
     ranges = usable_ranges(scan.ranges, finder)

@@ -12,15 +12,9 @@ from beamfield.geometry import FloatArray
 def assign_exclusively(each: FloatArray, none: FloatArray, values: FloatArray, chosen: NDArray[np.int64]) -> None:
     """Fill in the best correspondences of which no two share a landmark.
 
-    Parameters
-    ----------
-    each
-        (n, k, N) log value of each feature given each landmark.
-    none
-        (k,) the same given no landmark.
-    values, chosen
-        (n, k) results: log values, and indices of landmarks, N for none; -inf and N + 1 for all k features of a row
-        that has no such correspondence.
+    `each` (n, k, N) is the log value of each feature given each landmark, `none` (k,) that given no landmark. The
+    results (n, k) are log values, and indices of landmarks, N for none; -inf and N + 1 for all k features of a row that
+    has no such correspondence.
     """
     k, n_landmarks = each.shape[1:]
     # Every feature has its own way of being spurious, so that they do not compete for it.

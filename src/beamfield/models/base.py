@@ -52,13 +52,7 @@ class JointModel(Protocol):
 
 
 def check_takes_poses_alone(model: object) -> None:
-    """Refuse a model whose value at a pose depends on the other poses: it has no value over a map.
-
-    Raises
-    ------
-    InvalidInputError
-        If the model says so of itself (`JointModel`).
-    """
+    """Refuse a model whose value at a pose depends on the other poses (`JointModel`): it has no value over a map."""
     if isinstance(model, JointModel) and not model.takes_poses_alone():
         raise InvalidInputError(
             "model: expected one that weighs each pose alone, got one whose beam skipping looks at all poses; "

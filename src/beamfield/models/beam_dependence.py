@@ -14,15 +14,8 @@ from beamfield.models.field_parameters import SavedLikelihoodField
 def settle_dependence(model: Any) -> None:
     """Take exponent and n_beams of what a file says, where a model is not given them, and check them.
 
-    Parameters
-    ----------
-    model
-        A frozen dataclass with `parameters`, `exponent` and `n_beams`, in its `__post_init__`.
-
-    Raises
-    ------
-    InvalidInputError
-        If the exponent is not positive and finite, or n_beams is less than 1.
+    The model is a frozen dataclass with `parameters`, `exponent` and `n_beams`, in its `__post_init__`.
+    InvalidInputError if the exponent is not positive and finite, or n_beams is less than 1.
     """
     learned: dict[str, Any] = {"exponent": 1.0}
     saved = model.parameters

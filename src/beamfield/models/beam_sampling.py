@@ -86,24 +86,10 @@ def beams_from_uniforms(
 ) -> FloatArray:
     """Return the reading that two numbers in [0, 1) stand for, per beam: what `sample_beams` does with its draws.
 
-    If both numbers are uniform and independent of each other, a reading has exactly the distribution of the mixture,
-    whatever the dependence between beams; so dependent beams can be drawn from dependent numbers.
-
-    Parameters
-    ----------
-    cause_uniforms, range_uniforms
-        Numbers in [0, 1) that choose the cause, and the range given the cause; of one shape with the expected ranges.
-    expected_ranges, max_range, parameters, min_range
-        As for `sample_beams`.
-
-    Returns
-    -------
-    Metres, as from `sample_beams`.
-
-    Raises
-    ------
-    InvalidInputError
-        As for `sample_beams`, or if the shapes differ.
+    If both numbers, that which chooses the cause and that which chooses the range given the cause, are uniform and
+    independent of each other, a reading has exactly the distribution of the mixture, whatever the dependence between
+    beams; so dependent beams can be drawn from dependent numbers. All arrays have one shape, or InvalidInputError says
+    so.
     """
     view = as_view(parameters, max_range, min_range)
     expected = np.minimum(expected_from(min_range, as_expected_ranges(expected_ranges)), view.max_range)

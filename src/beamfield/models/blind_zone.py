@@ -17,13 +17,7 @@ from beamfield.sensors import SHORTEST_SPAN
 
 
 def check_limits(max_range: float, min_range: float) -> None:
-    """Raise if a sensor's limits are not valid: 0 <= min_range < max_range <= 1e9, metres.
-
-    Raises
-    ------
-    InvalidInputError
-        If one is.
-    """
+    """Raise if a sensor's limits are not valid: 0 <= min_range < max_range <= 1e9, metres."""
     # First of all: each call for a scan comes here, and texts of errors take longer than its checks.
     if 0.0 <= min_range < max_range <= LARGEST and max_range - min_range >= SHORTEST_SPAN:
         return
@@ -37,10 +31,8 @@ def check_limits(max_range: float, min_range: float) -> None:
 def counted_from(min_range: float, ranges: FloatArray, max_range: float) -> FloatArray:
     """Return measured ranges counted from min_range; the array itself, if there is no blind zone.
 
-    Returns
-    -------
-    Metres, of that shape; below max_range - min_range exactly where the range is below max_range, negative where
-    nothing can be measured, NaN where the range is.
+    They are below max_range - min_range exactly where the range is below max_range, negative where nothing can be
+    measured, NaN where the range is.
     """
     if min_range == 0.0:
         return ranges

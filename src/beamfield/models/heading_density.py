@@ -44,17 +44,7 @@ class HeadingDensity:
     n_turns: int
 
     def log(self, theta: FloatArray) -> FloatArray:
-        """Return the logarithm, up to a constant.
-
-        Parameters
-        ----------
-        theta
-            Radians, of any shape.
-
-        Returns
-        -------
-        Nats, of that shape.
-        """
+        """Return the logarithm, up to a constant, in nats and of theta's shape."""
         # cos(a) - 1 without its cancellation: kappa may be 1e17.
         value = -2.0 * abs(self.moment) * np.sin((theta - np.angle(self.moment)) / 2.0) ** 2
         for mean in self.turns:
@@ -64,19 +54,7 @@ class HeadingDensity:
         return np.asarray(value)
 
     def sample(self, n: int, rng: np.random.Generator) -> FloatArray:
-        """Draw headings by rejection.
-
-        Parameters
-        ----------
-        n
-            How many.
-        rng
-            Source of randomness; the same state gives the same headings.
-
-        Returns
-        -------
-        (n,) radians, not wrapped.
-        """
+        """Draw n headings (n,) by rejection, not wrapped; the same state of the generator gives the same headings."""
         starts, width, log_height = self._histogram()
         mass = np.cumsum(np.exp(log_height - log_height.max()))
         parts: list[FloatArray] = []

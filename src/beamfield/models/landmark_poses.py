@@ -151,18 +151,7 @@ def sample_poses(
 def sample_distances(mean: float, sigma: float, n: int, rng: np.random.Generator) -> FloatArray:
     """Draw n distances r' > 0 with a density proportional to r' N(r'; mean, sigma): a ring's area grows with r'.
 
-    Parameters
-    ----------
-    mean, sigma
-        Metres; the mean may be negative.
-    n
-        How many.
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    (n,) metres.
+    All in metres; the mean may be negative.
     """
     a = mean / sigma
     propose = _propose_beyond if a < 0.0 else _propose_around
@@ -176,17 +165,7 @@ def sample_distances(mean: float, sigma: float, n: int, rng: np.random.Generator
 
 
 def log_distance_mass(mean: float, sigma: float) -> float:
-    """Return the log of the integral of r' N(r'; mean, sigma) over r' > 0.
-
-    Parameters
-    ----------
-    mean, sigma
-        Metres; the mean may be negative.
-
-    Returns
-    -------
-    Finite, however far below 0 the mean lies.
-    """
+    """Return the log of the integral of r' N(r'; mean, sigma) over r' > 0; finite, however low the mean lies."""
     a = mean / sigma
     # sigma (density(a) + a share below a); far negative means would cancel to 0 unless the density is taken out.
     if a < FAR_BELOW:

@@ -14,13 +14,7 @@ NEEDED = {"number": "sigma_signature", "vector": "signature_covariance", "type":
 
 
 def check_signature_noise(landmarks: LandmarkMap, parameters: LandmarkParameters) -> None:
-    """Refuse parameters that do not fit the map's signatures.
-
-    Raises
-    ------
-    InvalidInputError
-        If the noise of the map's kind of signature is missing, or has another size.
-    """
+    """Refuse parameters without noise for the map's kind of signature, or with noise of another size."""
     if landmarks.signatures is None:
         return
     name = NEEDED[landmarks.kind]
@@ -41,30 +35,15 @@ def check_signature_noise(landmarks: LandmarkMap, parameters: LandmarkParameters
 def signature_log_density(
     signatures: FloatArray | None, n: int, landmarks: LandmarkMap, parameters: LandmarkParameters
 ) -> FloatArray:
-    """Return log p(s | landmark) of n features, (n, N + 1); the last column is for features of no landmark.
+    """Return log p(s | landmark) of n features, (n, N + 1) nats; the last column is for features of no landmark.
 
     A feature of no landmark shows any type with the same probability. Its number or vector is normal with the mean of
-    the map's signatures, and the covariance of the map's signatures plus the noise. A missing signature gives 0.
+    the map's signatures, and the covariance of the map's signatures plus the noise. A missing signature gives 0, a type
+    that a landmark cannot show -inf.
 
-    Parameters
-    ----------
-    signatures
-        (n,) numbers or types, or (n, d) vectors, NaN where none was measured; None if no feature has one.
-    n
-        Number of features.
-    landmarks
-        The map of N landmarks.
-    parameters
-        The sensor's noise, as `check_signature_noise` allows it.
-
-    Returns
-    -------
-    (n, N + 1) nats; -inf where a landmark cannot show that type.
-
-    Raises
-    ------
-    InvalidInputError
-        If features have signatures that the map has not, or of another shape, or a type that `confusion` has not.
+    Signatures are (n,) numbers or types, or (n, d) vectors, NaN where none was measured; None if no feature has one.
+    The noise is as `check_signature_noise` allows it. InvalidInputError if features have signatures that the map has
+    not, or of another shape, or a type that `confusion` has not.
     """
     result: FloatArray = np.zeros((n, len(landmarks) + 1))
     # Without features their signatures have no shape to speak of.
@@ -99,12 +78,7 @@ def _signature_noise(parameters: LandmarkParameters, landmarks: LandmarkMap) -> 
 def sample_signatures(
     which: FloatArray, landmarks: LandmarkMap, parameters: LandmarkParameters, rng: np.random.Generator
 ) -> FloatArray | None:
-    """Draw what landmarks of the map, by index, look like; None if they have no signatures.
-
-    Returns
-    -------
-    (...) numbers or types, or (..., d) vectors.
-    """
+    """Draw what landmarks, by index (...), look like: numbers or types, or (..., d) vectors; None if none do."""
     if landmarks.signatures is None:
         return None
     true = landmarks.signatures[which]

@@ -88,12 +88,7 @@ class OverlapSums(NamedTuple):
 
 
 def local_cells(z: LocalMap, resolution: float) -> LocalCells:
-    """Return the defined cells of a measurement; a scan is turned into a map first.
-
-    Returns
-    -------
-    L cells, perhaps none; cells without a probability (NaN) are left out.
-    """
+    """Return the defined cells of a measurement, perhaps none; a scan is turned into a map first."""
     local = scan_map(z, resolution=resolution) if isinstance(z, Scan) else z
     rows, cols = np.nonzero(~np.isnan(local.probability))
     centres = local.to_map(np.column_stack([cols, rows]) + 0.5) / resolution
@@ -103,8 +98,6 @@ def local_cells(z: LocalMap, resolution: float) -> LocalCells:
 def value_table(grid: OccupancyGrid) -> NDArray[np.float32]:
     """Return a map's probabilities less 0.5, in a frame of undefined cells, as kernels take them.
 
-    Returns
-    -------
     ((rows + 2) * (cols + 2),) `kernels.correlation.UNDEFINED` where the map has no probability.
     """
     values = np.full((grid.shape[0] + 2, grid.shape[1] + 2), kernels.UNDEFINED, np.float32)
@@ -114,23 +107,13 @@ def value_table(grid: OccupancyGrid) -> NDArray[np.float32]:
 
 
 def poses_in_cells(grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
-    """Return poses in the grid's frame, in cells.
-
-    Returns
-    -------
-    (n, 4) x, y in cells, and cos and sin of the heading.
-    """
+    """Return poses in the grid's frame (n, 4): x and y in cells, cos and sin of the heading."""
     heading = poses[:, 2] - grid.origin[2]
     return np.column_stack([grid.to_cells(poses[:, :2]), np.cos(heading), np.sin(heading)])
 
 
 def overlap_sums(grid: OccupancyGrid, table: NDArray[np.float32], cells: LocalCells, poses: FloatArray) -> OverlapSums:
-    """Return the sums over the cells that both maps define.
-
-    Returns
-    -------
-    Sums, each (n,); all 0 where no cell is common.
-    """
+    """Return the sums (n,) over the cells that both maps define; all 0 where no cell is common."""
     starts = poses_in_cells(grid, poses)
     values = cells.probability - np.float32(0.5)
     sums = np.empty((len(poses), 6))

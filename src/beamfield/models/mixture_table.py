@@ -32,18 +32,10 @@ _VALUES = np.vander(MEASURED_AT, DEGREE + 1, increasing=True) @ _COEFFICIENTS
 
 
 def mixture_table(ranges: FloatArray, view: BeamView) -> MixtureTable | None:
-    """Return the log density of a scan's readings over z*, within 1e-4 nats for each.
+    """Return the log density of a scan's readings (k,) over z*, within 1e-4 nats for each.
 
-    Parameters
-    ----------
-    ranges
-        (k,) readings, metres >= 0 counted from `view.min_range`.
-    view
-        The parameters.
-
-    Returns
-    -------
-    The table; None for parameters that would need more pieces: with next to no random readings, for example.
+    Readings are counted from `view.min_range`. None for parameters that would need more pieces: with next to no random
+    readings, for example.
     """
     if (
         view.z_rand * view.sigma_hit < LEAST_RAND * view.z_hit * view.max_range

@@ -150,18 +150,9 @@ def log_angle(angles: FloatArray, sigma: float) -> FloatArray:
 
 
 def rotations_and_translation(odometry: FloatArray, shortest: float) -> tuple[float, float, float]:
-    """Return the rotation, translation and rotation between two odometry poses (2, 3).
+    """Return the rotation, translation and rotation between two odometry poses (2, 3), radians in (-pi, pi] and metres.
 
-    Parameters
-    ----------
-    odometry
-        Before and after.
-    shortest
-        Below this distance, metres, the first rotation is 0: the bearing of so short a step says nothing.
-
-    Returns
-    -------
-    Radians in (-pi, pi], metres >= 0, radians in (-pi, pi].
+    Below the distance `shortest` the first rotation is 0: the bearing of so short a step says nothing.
     """
     before, after = odometry
     dx, dy = float(after[0] - before[0]), float(after[1] - before[1])

@@ -170,12 +170,7 @@ class RangeMixtureModel(ABC):
         return result
 
     def used_beams(self, scan: Scan) -> NDArray[np.int64]:
-        """Return which beams count: those with a measurement, thinned to n_beams.
-
-        Returns
-        -------
-        Indices in [0, k), rising: about equally spaced among the beams with a measurement, perhaps none.
-        """
+        """Return which beams count: those with a measurement, thinned to n_beams about equally spaced ones."""
         _refuse_logs(scan)
         # What `usable_ranges` leaves, in a third of its time.
         with np.errstate(invalid="ignore"):

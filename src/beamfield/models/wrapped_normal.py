@@ -11,20 +11,9 @@ from beamfield.geometry import FloatArray
 
 
 def sample_wrapped(sigma: float, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
-    """Draw angles of a normal with mean 0, cut off at -pi and pi.
+    """Draw angles in [-pi, pi], of this shape, of a normal with mean 0, cut off at -pi and pi.
 
-    Parameters
-    ----------
-    sigma
-        Standard deviation before it is cut, radians.
-    shape
-        Shape of the draws.
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    Radians in [-pi, pi], of that shape.
+    sigma is the standard deviation before it is cut.
     """
     below = float(ndtr(-np.pi / sigma))
     # The lower half alone, with a random sign: ndtri is exact there.
@@ -35,16 +24,7 @@ def sample_wrapped(sigma: float, shape: tuple[int, ...], rng: np.random.Generato
 
 
 def log_share_on_circle(sigma: float) -> float:
-    """Return the log of the share of a normal of mean 0 that lies in (-pi, pi].
-
-    Parameters
-    ----------
-    sigma
-        Standard deviation, radians.
-
-    Returns
-    -------
-    Nats, at most 0.
+    """Return the log of the share of a normal of mean 0 and standard deviation sigma, radians, that lies in (-pi, pi].
 
     Examples
     --------

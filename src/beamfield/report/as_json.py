@@ -69,14 +69,9 @@ def _scan_fit(scan_fit: CalibrationFit) -> dict[str, Any]:
 
 
 def scan_fits_as_dict(fits: ScanFits, reference: ScanFitReference, *, own: bool) -> dict[str, Any]:
-    """Return how well the scans of a log fit and what they were compared with, as values that strict JSON can hold.
+    """Return how well scans fit as values that strict JSON can hold.
 
-    Parameters
-    ----------
-    fits, reference
-        What was found, and what it was compared with.
-    own
-        Whether the reference is learned from the same log.
+    `own`: the reference is learned from the same log.
     """
     span = fits.longest_lost()
     counts = {name: int((fits.problem == i).sum()) for i, name in enumerate(PROBLEMS) if i}

@@ -55,12 +55,9 @@ def noise_by_range(calibration: Calibration) -> ReportFigure | None:
 def noise_points(calibration: Calibration) -> FloatArray:
     """Return mean and spread of the hits in groups of equal size by expected range.
 
-    Readings are weighted by their probability of being a hit.
-
-    Returns
-    -------
-    (g, 5) metres: expected range, mean of measured minus expected range, its standard error, standard deviation about
-    the model's range offset, its standard error; no row with too few hits.
+    Readings are weighted by their probability of being a hit. The rows of (g, 5), metres: expected range, mean of
+    measured minus expected range, its standard error, standard deviation about the model's range offset, its standard
+    error; none with too few hits.
     """
     table, parameters = calibration.table, calibration.parameters
     rows = thinned(np.flatnonzero(~table.hits_nothing & (table.ranges < table.max_range)), MOST_BEAMS)

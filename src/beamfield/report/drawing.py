@@ -28,14 +28,9 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def new_panel(width: float, height: float, *, above: float = 0.0) -> Figure:
-    """Return an empty white figure of this size in inches for a panel of the report, which has many.
+    """Return an empty white figure for a panel of the report, which has many.
 
-    Parameters
-    ----------
-    width, height
-        Inches.
-    above
-        Room above the axes for a legend or a colour bar, in lines of a legend.
+    Width and height are in inches; `above` is room above the axes for a legend or a colour bar, in lines of a legend.
     """
     return Figure(figsize=(width, height), layout=TextRoom(above * LEGEND_LINE), facecolor="white", edgecolor="white")
 
@@ -49,17 +44,7 @@ def new_axes(width: float, height: float, *, above: float = 0.0, **look: str) ->
 
 
 def style(axes: Axes, *, title: str = "", x: str = "", y: str = "", grid: str = "both") -> None:
-    """Give axes the report's look.
-
-    Parameters
-    ----------
-    axes
-        The axes.
-    title, x, y
-        Title and axis labels; the labels carry units.
-    grid
-        "both", "x", "y" or "none".
-    """
+    """Give axes the report's look; labels carry units, and the grid is "both", "x", "y" or "none"."""
     axes.set_facecolor("white")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
@@ -82,18 +67,8 @@ def filled_steps(
 ) -> None:
     """Fill under a histogram; `Axes.stairs` and `hist` look at every bin by itself to find the limits.
 
-    Parameters
-    ----------
-    axes
-        Where to draw.
-    heights, base
-        (n,) top and bottom of each bin; one base for all may be a number.
-    edges
-        (n + 1,).
-    linewidth
-        Of an outline.
-    **look
-        For `Axes.fill_between`.
+    Heights and base (n,) are top and bottom of each bin, or one base of all; edges are (n + 1,). `look` is for
+    `Axes.fill_between`.
     """
     tops = np.asarray(heights, np.float64)
     low = np.broadcast_to(np.asarray(base, np.float64), tops.shape)

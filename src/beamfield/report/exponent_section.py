@@ -43,13 +43,7 @@ def exponent_sentence(learned: ExponentLearning) -> str:
 
 
 def exponent_section(learned: ExponentLearning) -> PageSection:
-    """Return the section of the report.
-
-    Parameters
-    ----------
-    learned
-        The result of `learn_exponent`.
-    """
+    """Return the section of the report."""
     markup = (
         f"<p>{escaped(exponent_sentence(learned))}</p>{table(HEADER, _rows(learned), right=(1, 3, 4, 5, 6))}"
         f"<p>For the beam model with {learned.n_beams} beams of each scan. Neighbouring beams err together: each "

@@ -24,15 +24,7 @@ SCORE_HEADER = ("held-out blocks", "nats per reading ± s.e.", "nats per posteri
 
 
 def field_tables(learned: FieldLearning, *, width: int | None = None) -> str:
-    """Return the tables for the terminal: the parameters, and how they do on held-out blocks.
-
-    Parameters
-    ----------
-    learned
-        The result of `learn_field_parameters`.
-    width
-        Characters in a line, for a terminal; None: as many as it takes.
-    """
+    """Return the tables for the terminal: the parameters, and how they do on held-out blocks."""
     parts = [
         aligned(PARAMETER_HEADER, _parameter_rows(learned), right=(1,), width=width),
         aligned(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3), width=width),
@@ -42,15 +34,7 @@ def field_tables(learned: FieldLearning, *, width: int | None = None) -> str:
 
 
 def field_section(learned: FieldLearning, file_text: str) -> PageSection:
-    """Return the section of the report.
-
-    Parameters
-    ----------
-    learned
-        The result of `learn_field_parameters`.
-    file_text
-        The parameter file.
-    """
+    """Return the section of the report, which holds the parameter file."""
     markup = (
         f"{table(PARAMETER_HEADER, _parameter_rows(learned), right=(1,), css='parameters')}"
         f"<p>For <code>LikelihoodFieldModel</code> with {learned.n_beams} beams of each scan. z_hit, z_rand and "

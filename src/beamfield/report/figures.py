@@ -21,14 +21,7 @@ def report_figures(
 ) -> list[ReportFigure]:
     """Draw every figure for which the calibration has data.
 
-    Parameters
-    ----------
-    calibration
-        The result of `calibrate`.
-    grid, log
-        The map, or the two maps that the log drew itself, and the log it was made from.
-    scan_fit
-        The result of `fit_of_calibration`; None leaves it out.
+    The map may be the two maps that the log drew itself.
     """
     shown = grid.whole if isinstance(grid, CrossFitMaps) else grid
     drawn = [

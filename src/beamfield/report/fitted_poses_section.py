@@ -40,16 +40,8 @@ def fitted_poses_section(
 ) -> PageSection:
     """Return the section of the report.
 
-    Parameters
-    ----------
-    sentence
-        Where the poses come from, and what stays hidden.
-    fitted
-        The poses.
-    results
-        What was learned, by `USED`, `SWAPPED` and `SAME`; only the first where the beams were not halved.
-    given
-        Whether the user said how wrong the poses are.
+    The sentence says where the poses come from, and what stays hidden. The results are by `USED`, `SWAPPED` and `SAME`;
+    only the first where the beams were not halved. `given`: the user said how wrong the poses are.
     """
     markup = f"<p>{escaped(sentence)}</p><p>{escaped(_details(fitted, results, given=given))}</p>"
     return PageSection("fitted-poses", TITLE, markup + table(_header(results), _rows(results), right=NUMBERS))

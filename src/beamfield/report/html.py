@@ -54,21 +54,11 @@ def render_report(
 ) -> str:
     """Return the report as one HTML document.
 
-    Parameters
-    ----------
-    calibration
-        The result of `calibrate`.
-    grid, log
-        The map, or the two maps that the log drew itself, and the log it was made from.
-    provenance
-        Where the inputs come from. Used by name: "inputs" (role -> name, or mapping with "name" and "sha256"; the roles
-        "log", "map" and "poses" go into the head of the page), "date", "program" (name and version), "notes" (sentences
-        on how the log was read), "options" (with "odometry", if that is what the poses are). The rest is listed at
-        the end of the page.
-    sections
-        More sections. The one with a verdict opens the page, before the beam model; the others follow the score.
-    scan_fit
-        The result of `fit_of_calibration`; None leaves it out.
+    The map may be the two maps that the log drew itself. Of the provenance, these are used by name: "inputs" (role ->
+    name, or mapping with "name" and "sha256"; the roles "log", "map" and "poses" go into the head of the page), "date",
+    "program" (name and version), "notes" (sentences on how the log was read), "options" (with "odometry", if that is
+    what the poses are); the rest is listed at the end. A section with a verdict opens the page, before the beam model;
+    the others follow the score.
     """
     origin = dict(provenance or {})
     name = log.finder.name or "the range finder"

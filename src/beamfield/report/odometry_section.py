@@ -31,14 +31,7 @@ Programs = Mapping[str, Mapping[str, Mapping[str, float]]]
 def odometry_tables(result: OdometryCalibration, programs: Programs | None = None, *, width: int | None = None) -> str:
     """Return the tables for the terminal: noise, systematic errors, the advised values, and warnings.
 
-    Parameters
-    ----------
-    result
-        The result of `calibrate_odometry`.
-    programs
-        Values by parameter, by motion model and program; None for none.
-    width
-        Characters in a line, for a terminal; None: as many as it takes.
+    The programs are values by parameter, by motion model and program. Lines are `width` characters long.
     """
     # Up to four levels with their intervals are too wide for a terminal; the page shows those of each.
     noise = [(name, score, gain) for name, _, score, gain in _noise_rows(result)]

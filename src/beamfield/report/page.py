@@ -20,18 +20,8 @@ def document(
 ) -> str:
     """Return a page that needs nothing else: no script, no network, no other file.
 
-    Parameters
-    ----------
-    title
-        Of the browser's window; plain text.
-    main
-        The page; HTML.
-    contents
-        Anchor and name of each part.
-    footer
-        Last line; plain text.
-    figures
-        Named in the contents, below the part "figures", where there is room for them.
+    The title, of the browser's window, and the footer are plain text, the main part is HTML; contents are anchor and
+    name of each part. Figures are named in them, below the part "figures", where there is room.
     """
     style = files(__package__).joinpath("page.css").read_text(encoding="utf-8")
     more = "".join(f'<li class="more"><a href="#{part.name}">{escaped(part.title)}</a></li>' for part in figures)
@@ -77,20 +67,10 @@ def table(
     bold: Collection[int] = (),
     css: str = "",
 ) -> str:
-    """Return a table whose first column heads its rows.
+    """Return a table whose first column heads its rows, with cells of plain text.
 
-    Parameters
-    ----------
-    header
-        Of the columns; empty for a table without.
-    rows
-        Cells of plain text.
-    right
-        Columns that are aligned to the right.
-    bold
-        Rows that stand out.
-    css
-        Class of the table.
+    The header is empty for a table without. `right` are columns that are aligned to the right, `bold` rows that stand
+    out; `css` is the table's class.
     """
 
     def cell(tag: str, i: int, value: object) -> str:

@@ -79,14 +79,7 @@ def one_picture(
 def svg_panel(figure: Figure, name: str, alt: str) -> Panel:
     """Draw a figure as inline SVG: for lines and bars.
 
-    Parameters
-    ----------
-    figure
-        The figure.
-    name
-        Prefix of the ids in the SVG; unique in the page.
-    alt
-        What a reader who cannot see it should know.
+    The name begins the SVG's ids and is unique in the page; `alt` is for readers who cannot see it.
     """
     buffer = io.StringIO()
     with _DRAWING:
@@ -96,17 +89,7 @@ def svg_panel(figure: Figure, name: str, alt: str) -> Panel:
 
 
 def png_panel(figure: Figure, alt: str, *, dpi: int = 144) -> Panel:
-    """Draw a figure as a PNG with 256 colours: for clouds of points.
-
-    Parameters
-    ----------
-    figure
-        The figure.
-    alt
-        What a reader who cannot see it should know.
-    dpi
-        Pixels per inch.
-    """
+    """Draw a figure as a PNG with 256 colours: for clouds of points; `alt` is for readers who cannot see it."""
     figure.set_dpi(dpi)
     canvas = FigureCanvasAgg(figure)
     with _DRAWING:

@@ -37,17 +37,7 @@ COLUMNS = ("", "kind", "x [m]", "y [m]", "size [m]", "rate", "95% interval", "vi
 
 
 def places_figure(found: ChangedPlaces, grid: OccupancyGrid, path: FloatArray) -> ReportFigure:
-    """Draw the places on the map; a caption without picture where there is none.
-
-    Parameters
-    ----------
-    found
-        Result of `find_changed_places`.
-    grid
-        The map.
-    path
-        (t, 2) where the robot was, metres.
-    """
+    """Draw the places on the map, with the robot's path (t, 2); a caption without picture where there is none."""
     path = path[np.isfinite(path).all(axis=1)]
     if not found.places:
         return ReportFigure(NAME, TITLE, (), "Nowhere: every place is as mapped, as far as the beams tell.", SOURCE)

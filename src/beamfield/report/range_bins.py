@@ -38,10 +38,7 @@ class RangeBin:
 def typical_bins(table: BeamTable) -> list[RangeBin]:
     """Return up to four groups around typical expected ranges, near to far; they do not overlap.
 
-    Parameters
-    ----------
-    table
-        Beams; those whose ray hits nothing are left out.
+    Beams whose ray hits nothing are left out.
     """
     usable = np.flatnonzero(~table.hits_nothing)
     expected = table.expected_ranges[usable]

@@ -43,14 +43,8 @@ if TYPE_CHECKING:
 def calibration_summary(result: Calibration, *, width: int | None = None, wording: Callable[[str], str] = str) -> str:
     """Return what a calibration found: the verdict, the data, parameters with intervals, held-out scores, warnings.
 
-    Parameters
-    ----------
-    result
-        The result of `calibrate`.
-    width
-        Characters in a line, for a terminal; None: as many as it takes.
-    wording
-        What turns the names of arguments in a warning into those of the reader.
+    Lines are `width` characters long, for a terminal; `wording` turns the names of arguments in a warning into those of
+    the reader.
     """
     said, used, readings, form = (
         line if width is None else textwrap.fill(line, width)
@@ -84,15 +78,7 @@ def save_calibration(result: Calibration, path: str | Path, exponent: ExponentLe
 def calibration_text(
     result: Calibration, exponent: ExponentLearning | None, *, provenance: Mapping[str, Any] | None = None
 ) -> str:
-    """Return the text of a beam_model.yaml.
-
-    Parameters
-    ----------
-    result, exponent
-        What was learned; None: beams count as if they were independent.
-    provenance
-        As for `beam_model_text`.
-    """
+    """Return the text of a beam_model.yaml; without an exponent, beams count as if they were independent."""
     intervals = dict(result.intervals.intervals)
     if exponent is None:
         return beam_model_text(result.parameters, result.finder, intervals=intervals, provenance=provenance)
@@ -151,13 +137,7 @@ def fits_summary(fits: ScanFits) -> str:
 
 
 def plot_fits(fits: ScanFits) -> Figure:
-    """Draw p-value and lost probability over time.
-
-    Raises
-    ------
-    InvalidInputError
-        If no scan could be judged.
-    """
+    """Draw p-value and lost probability over time; InvalidInputError if no scan could be judged."""
     if np.isnan(fits.p_value).all():
         raise InvalidInputError("fits: expected a scan that could be judged, got none")
     figure = new_figure(WIDE, 4.6)

@@ -38,12 +38,7 @@ SIDE_COLOURS = (CAUSE_COLOURS[0], CAUSE_COLOURS[1], THROUGH, CAUSE_COLOURS[2])
 def fit_over_time(fits: ScanFits, reference: ScanFitReference, *, own: bool) -> ReportFigure | None:
     """Draw p-value and lost probability over the log; None if no scan could be judged.
 
-    Parameters
-    ----------
-    fits, reference
-        Result of `judge_log`, and what it compared with.
-    own
-        Whether the reference is learned from the same log.
+    `own`: the reference is learned from the same log.
     """
     judged = ~np.isnan(fits.p_value)
     if not judged.any():
@@ -141,17 +136,7 @@ def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: 
 
 
 def draw_sides(axes: Axes, model: RangeMixtureModel, log: SensorLog, grid: OccupancyGrid, scan: int) -> None:
-    """Draw a scan on the map at its pose, each beam coloured by how it disagrees.
-
-    Parameters
-    ----------
-    axes
-        Where to draw.
-    model, grid
-        The model that expects ranges, and the map.
-    log, scan
-        The log, and the index of the scan.
-    """
+    """Draw a scan on the map at its pose, each beam coloured by how it disagrees with the model."""
     pose, finder = log.poses[scan], log.finder
     expected = known_expected_ranges(model, stopping_rays(model), pose[None, :], finder)[0]
     ranges = usable_ranges(log.ranges[scan], finder)

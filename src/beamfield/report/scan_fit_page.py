@@ -82,12 +82,7 @@ def fit_csv(fits: ScanFits) -> str:
 def fit_as_dict(fits: ScanFits, reference: ScanFitReference, worst: NDArray[np.int64], *, own: bool) -> dict[str, Any]:
     """Return the result as values that strict JSON can hold; the scans themselves are in the CSV.
 
-    Parameters
-    ----------
-    fits, reference, worst
-        What was found, what it was compared with, the worst scans.
-    own
-        Whether the reference is learned from the same log.
+    The worst scans are indices; `own`: the reference is learned from the same log.
     """
     columns = {"scan": np.arange(len(fits)), "stamp": fits.stamps, "p_value": fits.p_value}
     columns |= {"lost_probability": fits.lost, "through": fits.statistics.through, "short": fits.statistics.short}
@@ -109,18 +104,8 @@ def render_fit_page(
 ) -> str:
     """Return the result as one HTML document that needs nothing else.
 
-    Parameters
-    ----------
-    title
-        Heading.
-    fits, reference
-        What was found, and what it was compared with.
-    figures
-        Drawn figures, in order.
-    origin
-        Inputs, options and program; see `cli.provenance`.
-    problem
-        Why map or poses cannot be trusted, and what to do; empty if they can.
+    The origin is that of `cli.provenance`. The problem says why map or poses cannot be trusted, and what to do; empty
+    if they can.
     """
     judged = int((~np.isnan(fits.p_value)).sum())
     share = f"{fits.share_that_fits(LEVEL):.1%} of {judged} scans fit the map at {LEVEL:.0%}; of good scans 95% do."

@@ -30,15 +30,7 @@ HOW = {
 
 
 def stack_tables(result: StackResult, *, width: int | None) -> str:
-    """Return the tables for the terminal: parameters, start against calibrated for every model fitted, and replay.
-
-    Parameters
-    ----------
-    result
-        What was found.
-    width
-        Characters in a line, for a terminal; None: as many as it takes.
-    """
+    """Return the tables for the terminal: parameters, start against calibrated for every model fitted, and replay."""
     fits, chosen = result.fits, result.chosen
     rows, scores = _parameter_rows(result), [row for fit in fits for row in _score_rows(fit, result.trial)]
     parts = [
@@ -59,15 +51,7 @@ def stack_tables(result: StackResult, *, width: int | None) -> str:
 
 
 def stack_section(result: StackResult, file_text: str) -> PageSection:
-    """Return the section of the report, which answers what was asked for: it opens the page.
-
-    Parameters
-    ----------
-    result
-        What was found.
-    file_text
-        The parameter file.
-    """
+    """Return the section of the report, with the parameter file; it answers what was asked for and opens the page."""
     fits, chosen, replay = result.fits, result.chosen, result.replay
     stack, model = chosen.model.stack, chosen.model.model
     rows = [row for fit in fits for row in _score_rows(fit, result.trial)]

@@ -17,15 +17,7 @@ LEAST_ROOM = 18
 
 
 def parameter_table(calibration: Calibration, *, width: int | None = None) -> str:
-    """Return a table of the parameters, each with its 95% interval and its unit.
-
-    Parameters
-    ----------
-    calibration
-        The result of `calibrate`.
-    width
-        Characters in a line, for a terminal; None: as many as it takes.
-    """
+    """Return a table of the parameters, each with its 95% interval and its unit, `width` characters wide."""
     return aligned(HEADER, [row.cells for row in parameter_rows(calibration)], right=(1,), width=width)
 
 
@@ -49,13 +41,7 @@ def readings_line(calibration: Calibration) -> str:
 
 
 def score_table(calibration: Calibration) -> str:
-    """Return a table of the held-out log-likelihoods per beam in nats.
-
-    Parameters
-    ----------
-    calibration
-        The result of `calibrate`.
-    """
+    """Return a table of the held-out log-likelihoods per beam in nats."""
     header = ("held-out beams", "nats per beam ± s.e.", "gain of the fit")
     return aligned(header, score_rows(calibration), right=(1, 2))
 
@@ -71,16 +57,10 @@ def score_rows(calibration: Calibration) -> list[tuple[str, ...]]:
 def warning_lines(
     findings: Iterable[Finding], *, width: int | None = None, wording: Callable[[str], str] = str
 ) -> list[str]:
-    """Return one paragraph for each warning.
+    """Return one paragraph for each warning among the findings.
 
-    Parameters
-    ----------
-    findings
-        Of a result; those that are no warnings are left out.
-    width
-        Characters in a line, for a terminal; None: as many as it takes.
-    wording
-        What turns the names of arguments in a text into those of the reader.
+    Lines are `width` characters long, for a terminal; `wording` turns the names of arguments in a text into those of
+    the reader.
     """
     texts = [f"warning ({f.name}): {wording(f.full_text)}" for f in findings if f.severity == "warning"]
     return texts if width is None else [textwrap.fill(text, width, subsequent_indent="  ") for text in texts]
@@ -118,16 +98,9 @@ def plus_minus(value: float, standard_error: float, *, sign: bool = False) -> st
 def aligned(
     header: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, right: tuple[int, ...], width: int | None = None
 ) -> str:
-    """Return rows under a header, columns padded to their widest cell.
+    """Return rows under a header, columns padded to their widest cell, those of `right` aligned to the right.
 
-    Parameters
-    ----------
-    header, rows
-        Cells of text, as many in each row.
-    right
-        Indices of the columns that are aligned to the right.
-    width
-        Characters in a line: headers are broken to fit, and the last column, if it has room for words at all.
+    In lines of `width` characters, headers are broken to fit, and the last column, if it has room for words at all.
     """
     above, below = [header], list(rows)
     if width is not None:

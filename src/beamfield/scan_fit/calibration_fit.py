@@ -39,16 +39,8 @@ class CalibrationFit:
 def fit_of_calibration(calibration: Calibration, grid: OccupancyGrid | CrossFitMaps, log: SensorLog) -> CalibrationFit:
     """Judge every scan of a calibration's log by the others, with the parameters that were learned.
 
-    Parameters
-    ----------
-    calibration
-        The result of `calibrate`.
-    grid, log
-        The map, or the two maps that the log drew itself, and the log it was made from.
-
-    Returns
-    -------
-    The scans' fits. A log with too few scans or a map without free cells is not an error: `missing` says so.
+    The map may be the two maps that the log drew itself. A log with too few scans or a map without free cells is not an
+    error: `missing` says so.
 
     References
     ----------

@@ -41,28 +41,11 @@ def conformal_p_values(values: ArrayLike, good: ArrayLike) -> FloatArray:
 def cross_conformal_p_values(
     values: ArrayLike, stamps: ArrayLike, good: ArrayLike, good_stamps: ArrayLike, gap_s: float
 ) -> FloatArray:
-    """Return conformal p-values of scans that are, or stand beside, the good ones: near ones do not count.
+    """Return conformal p-values of scans (m,) that are, or stand beside, the good ones (n,): near ones do not count.
 
     Each scan is compared with the good scans further away in time than the gap, so that none is judged by itself or by
-    neighbours that saw the same walls and people.
-
-    Parameters
-    ----------
-    values, stamps
-        (m,) statistics of the scans to judge, and their times in seconds.
-    good, good_stamps
-        (n,) the same of the good scans.
-    gap_s
-        Seconds.
-
-    Returns
-    -------
-    (m,) p-values; NaN where the value is NaN or no good scan is far enough.
-
-    Raises
-    ------
-    InvalidInputError
-        If the gap is not >= 0.
+    neighbours that saw the same walls and people. Stamps and the gap, at least 0, are in seconds. NaN where the value
+    is NaN or no good scan is far enough.
     """
     require(gap_s >= 0.0, "gap_s", "seconds >= 0", gap_s)
     scores, when = np.asarray(values, dtype=np.float64), np.asarray(stamps, dtype=np.float64)

@@ -17,27 +17,14 @@ from beamfield.sensors import SensorLog
 def cross_fit_statistics(
     model_on: Callable[[OccupancyGrid], FitModel], maps: CrossFitMaps, log: SensorLog
 ) -> FitStatistics:
-    """Return how badly each scan fits the map of the other half, at its reference pose.
+    """Return how badly each scan fits the map of the other half, at its reference pose, in the order of the log.
 
     A scan fits a map that it helped to draw whatever happens. In the other half's map it disagrees where its pose does
     not go with those of the scans around it, or where a place is seen again and again; an error of the poses that both
     halves share at a place that is seen once stays hidden.
 
-    Parameters
-    ----------
-    model_on
-        Makes the model on a map.
-    maps, log
-        The log, and what `build_cross_fit_maps` made of it.
-
-    Returns
-    -------
-    One entry per scan, in the order of the log.
-
-    Raises
-    ------
-    InvalidInputError
-        If the maps are of a log with another number of scans, or as for `fit_statistics`.
+    The maps are what `build_cross_fit_maps` made of the log; `model_on` makes the model on one of them.
+    InvalidInputError if they are of a log with another number of scans, or as for `fit_statistics`.
     """
     require(len(maps.half) == len(log), "log", f"the {len(maps.half)} scans that the maps were built from", len(log))
     scans = [np.flatnonzero(maps.half == half) for half in (0, 1)]

@@ -65,20 +65,10 @@ def learn_evidence(
     """Learn the likelihood ratio of "lost" from values of good scans and of scans at wrong poses.
 
     Shares of both in bins of the statistic, made monotone by pooling neighbours that disagree (isotonic regression).
-    Half a count is added on both sides, so that no value is evidence stronger than that many scans can give.
+    Half a count is added on both sides, so that no value is evidence stronger than that many independent scans (n_good,
+    n_lost) can give. Values depend on each other over `correlation_s` seconds; NaN are left out.
 
-    Parameters
-    ----------
-    good, lost
-        Values of the statistic; NaN are left out.
-    n_good, n_lost
-        How many independent scans they are worth.
-    correlation_s
-        Seconds over which values depend on each other.
-
-    Returns
-    -------
-    The log ratio at the middles of the pooled bins, not falling; 0 everywhere if one side has no value.
+    The log ratio at the middles of the pooled bins does not fall; it is 0 everywhere if one side has no value.
     """
     ok, bad = (np.asarray(v, dtype=np.float64) for v in (good, lost))
     ok, bad = ok[~np.isnan(ok)], bad[~np.isnan(bad)]
@@ -115,20 +105,10 @@ def _share(ok: float, bad: float) -> float:
 
 
 def correlation_time(stamps: ArrayLike, values: ArrayLike) -> float:
-    """Return the integrated correlation time of a series, seconds: 0 if neighbours are independent.
+    """Return the integrated correlation time of a series (t,), seconds: 0 if neighbours are independent.
 
-    The lag-one correlation over all neighbouring pairs within ten median steps gives rho = exp(-step / time).
-
-    Parameters
-    ----------
-    stamps
-        (t,) seconds.
-    values
-        (t,) NaN are left out.
-
-    Returns
-    -------
-    Seconds; 0 too for fewer than 3 values.
+    The lag-one correlation over all neighbouring pairs within ten median steps gives rho = exp(-step / time). NaN are
+    left out; 0 too for fewer than 3 values.
     """
     when, x = np.asarray(stamps, dtype=np.float64), np.asarray(values, dtype=np.float64)
     order = np.argsort(when, kind="stable")
@@ -158,16 +138,7 @@ def correlation_time(stamps: ArrayLike, values: ArrayLike) -> float:
 def effective_number(stamps: ArrayLike, correlation_s: float) -> float:
     """Return how many independent values a series is worth, if correlation falls as exp(-dt / correlation_s).
 
-    Parameters
-    ----------
-    stamps
-        (t,) seconds, in any order.
-    correlation_s
-        Seconds; 0 for independent values.
-
-    Returns
-    -------
-    In [1, t]; 0 without values.
+    Stamps (t,) are in any order. The number is in [1, t]; 0 without values, t if correlation_s is 0.
 
     Examples
     --------
@@ -184,18 +155,7 @@ def evidence_weights(stamps: ArrayLike, correlation_s: float) -> FloatArray:
     """Return the share of each scan that is new: tanh(dt / (2 correlation_s)), 1 for the first.
 
     The mean of n values with correlation exp(-dt / correlation_s) is worth n tanh(dt / (2 correlation_s)) independent
-    ones; so each counts for that much.
-
-    Parameters
-    ----------
-    stamps
-        (t,) seconds, not decreasing.
-    correlation_s
-        Seconds; 0 for independent values.
-
-    Returns
-    -------
-    (t,) in [0, 1]; 0 only for a scan of the same time as the one before it.
+    ones; so each counts for that much. Stamps (t,) do not decrease; a scan of the same time as the one before it has 0.
     """
     when = np.asarray(stamps, dtype=np.float64)
     weights = np.ones(len(when))

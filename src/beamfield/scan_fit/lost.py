@@ -128,19 +128,7 @@ EDGES = np.array([0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0])
 
 
 def reliability_table(predicted: ArrayLike, lost: ArrayLike) -> tuple[ReliabilityRow, ...]:
-    """Compare probabilities with how often the robot was lost; bins without scans are left out.
-
-    Parameters
-    ----------
-    predicted
-        (n,) probabilities.
-    lost
-        (n,) whether it was.
-
-    Returns
-    -------
-    One row per bin, from low to high probabilities.
-    """
+    """Compare probabilities (n,) with how often the robot was lost, in bins that have scans, from low to high."""
     p, truth = np.asarray(predicted, dtype=np.float64), np.asarray(lost, dtype=np.float64)
     index = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)
     rows = ((index == b) for b in range(len(EDGES) - 1))
@@ -154,20 +142,9 @@ TEST_RATES = LostRates(1.0 / 20.0, 1.0 / 20.0)
 def kidnapped_series(
     good: FloatArray, wrong: FloatArray, stamps: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return a series that changes between right and wrong poses at random times, and when it is wrong.
+    """Return a series (t,) that changes between right and wrong poses at random times, and when it is wrong.
 
-    Parameters
-    ----------
-    good, wrong
-        (t,) the statistic at the right and at wrong poses.
-    stamps
-        (t,) seconds.
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    (t,) the statistic, and (t,) whether the robot is lost.
+    The statistic is known at the right and at wrong poses; stamps are in seconds.
     """
     lost = np.zeros(len(stamps), dtype=bool)
     rates = TEST_RATES
@@ -187,16 +164,8 @@ def tune_correlation(
 ) -> LostEvidence:
     """Return the evidence with the correlation time whose probabilities score best on held-out kidnappings.
 
-    Parameters
-    ----------
-    evidence
-        With the correlation time measured from the series.
-    series
-        (statistic, stamps, lost) of each.
-
-    Returns
-    -------
-    The evidence with 1/8 to 4 times its correlation time.
+    Of each series: statistic, stamps, lost. The time is 1/8 to 4 times that measured from the series, which the
+    evidence has.
     """
     factors = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
     trials = [replace(evidence, correlation_s=evidence.correlation_s * factor) for factor in factors]

@@ -83,22 +83,9 @@ def judge_beams(
 ) -> PlaceBeams:
     """Compare every beam with the map, with what the sensor's noise and the reference poses may be off in mind.
 
-    Parameters
-    ----------
-    log, grid, parameters
-        Scans with poses, the map, and the beam model learned for them.
-    scans
-        Indices of the scans to use.
-    reference_error
-        Standard deviation of the poses per axis, metres; a quarter of it in radians.
-    longest_error
-        Beams are followed until the pose's error has moved them aside by so many metres (one standard deviation).
-    block_s
-        Length of a block of time, seconds; 0 where no time passes.
-
-    Returns
-    -------
-    One row per beam whose expected range is known.
+    The reference error is the standard deviation of the poses per axis in metres, and a quarter of it in radians; beams
+    are followed until it has moved them aside by `longest_error` metres. A block of time, which counts as one visit, is
+    block_s seconds long; 0 where no time passes. The scans are indices. One row per beam whose expected range is known.
     """
     table = build_beam_table(log, grid, scans[:: 1 + len(scans) * log.finder.n_beams // MOST_BEAMS])
     rays = compose(log.poses[table.scan], log.finder.mounts[table.beam])
@@ -118,18 +105,9 @@ def judge_table(
     reference_error: float,
     longest_error: float,
 ) -> PlaceBeams:
-    """Compare beams whose expected ranges are known with the map.
+    """Compare beams whose expected ranges are known with the map; see `judge_beams`.
 
-    Parameters
-    ----------
-    table
-        The beams.
-    rays
-        (n, 3) start and direction of each in the map frame, metres and radians.
-    visit
-        (n,) block of time of each.
-    grid, parameters, reference_error, longest_error
-        As for `judge_beams`.
+    Rays (n, 3) are start and direction of each in the map frame, metres and radians; visit (n,) is its block of time.
     """
     parameters = replace(parameters, sigma_slope=min(parameters.sigma_slope, MOST_SLOPE))
     reach = np.sqrt(max(longest_error**2 / reference_error**2 - 1.0, 0.0)) * REFERENCE_LEVER

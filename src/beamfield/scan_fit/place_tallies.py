@@ -66,12 +66,7 @@ class Lattice:
 def tally_short(beams: PlaceBeams, lattice: Lattice, labels: NDArray[np.int32]) -> Tally:
     """Count per place and visit the beams that crossed it or ended there, and the short readings that end there.
 
-    Parameters
-    ----------
-    beams, lattice
-        The beams, and the squares.
-    labels
-        (rows, cols) place of each square, -1 for none.
+    Labels (rows, cols) are the place of each square, -1 for none.
     """
     rays = np.column_stack([(beams.rays[:, :2] - [lattice.x, lattice.y]) / lattice.side, beams.rays[:, 2]])
     lengths = beams.followed / lattice.side
@@ -87,14 +82,9 @@ def tally_short(beams: PlaceBeams, lattice: Lattice, labels: NDArray[np.int32]) 
 
 
 def tally_walls(beams: PlaceBeams, lattice: Lattice, labels: NDArray[np.int32], differ: NDArray[np.bool_]) -> Tally:
-    """Count per place and visit the beams that tested a mapped surface there, and those of them that differ.
+    """Count per place and visit the beams that tested a mapped surface there, and those of them that differ (n,).
 
-    Parameters
-    ----------
-    beams, lattice, labels
-        As for `tally_short`.
-    differ
-        (n,) which beams differ from the map: `through` or `silent`.
+    Those are `through` or `silent`; labels are as for `tally_short`.
     """
     squares, n_places = lattice.squares(beams.walls), int(labels.max(initial=-1)) + 1
     tested, differing = _places(labels, squares, beams.tested), _places(labels, squares, beams.tested & differ)

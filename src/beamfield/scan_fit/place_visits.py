@@ -102,10 +102,7 @@ class Visits:
     def joined(self, whole: NDArray[np.int64]) -> Visits:
         """Return the visits to larger places; one differs in a visit if a part of it does.
 
-        Parameters
-        ----------
-        whole
-            Place that each place is part of; negative for none.
+        `whole` is the place that each place is part of; negative for none.
         """
         place = whole[self.place]
         pairs, index = np.unique(
@@ -153,22 +150,10 @@ class TwoKinds:
 
     @classmethod
     def learn(cls, visits: Visits, stay: float) -> TwoKinds:
-        """Learn the mixture from all places that were visited, with weak prior counts.
+        """Learn the mixture from all places that were visited, with weak prior counts; see the class.
 
-        Parameters
-        ----------
-        visits
-            Visits to all places.
-        stay
-            See the class.
-
-        Returns
-        -------
-        The mixture, with `lasting` at least 0.5 and `passing` at most 0.2.
-
-        Notes
-        -----
-        EM; `passing` is learned from visits that follow none in which the place differed.
+        `lasting` is at least 0.5 and `passing` at most 0.2, which EM learns from visits that follow none in which the
+        place differed.
         """
         visits = replace(visits, place=np.unique(visits.place, return_inverse=True)[1].reshape(-1))
         n = int(visits.place.max(initial=-1)) + 1
@@ -193,16 +178,7 @@ class TwoKinds:
         return kinds
 
     def probability(self, visits: Visits, n_places: int) -> FloatArray:
-        """Return the probability that each place differs for good, given its visits.
-
-        Parameters
-        ----------
-        visits, n_places
-            The visits, and how many places there are.
-
-        Returns
-        -------
-        (n_places,); `share` for a place that was not visited.
+        """Return the probability (n_places,) that each place differs for good, given its visits; `share` without any.
 
         Examples
         --------

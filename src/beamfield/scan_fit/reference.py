@@ -106,49 +106,21 @@ class ScanFitReference:
         return 1.0 / (len(self) + 1.0)
 
     def p_values(self, misfit: ArrayLike) -> FloatArray:
-        """Return conformal p-values of scans of another log.
+        """Return conformal p-values (m,) in (0, 1] of scans of another log; NaN for NaN.
 
-        Parameters
-        ----------
-        misfit
-            (m,) as in `FitStatistics`.
-
-        Returns
-        -------
-        (m,) in (0, 1]; NaN for NaN.
+        The misfits are as in `FitStatistics`.
         """
         return conformal_p_values(misfit, self.misfit)
 
     def own_p_values(self, misfit: ArrayLike, stamps: ArrayLike) -> FloatArray:
-        """Return p-values of scans of the same log: good scans near in time do not count.
-
-        Parameters
-        ----------
-        misfit
-            (m,) as in `FitStatistics`.
-        stamps
-            (m,) seconds.
-
-        Returns
-        -------
-        (m,) in (0, 1]; NaN for NaN.
-        """
+        """Return p-values of scans of the same log, as `p_values` does: good scans near in time do not count."""
         return cross_conformal_p_values(misfit, stamps, self.misfit, self.stamps, self.gap_s)
 
     def require_model(self, model: FitModel, max_range: float) -> None:
         """Refuse a model that the reference was not made with.
 
-        Parameters
-        ----------
-        model
-            The model.
-        max_range
-            The sensor's limit, metres.
-
-        Raises
-        ------
-        InvalidInputError
-            If its name, a parameter, what it does in unknown space or the limit differs; it is named.
+        InvalidInputError names what differs: its name, a parameter, what it does in unknown space, or the sensor's
+        limit.
         """
         mine, other = dict(self.model), _model_identity(model, max_range)
         different = sorted(name for name in {*mine, *other} if not _same(mine.get(name), other.get(name)))

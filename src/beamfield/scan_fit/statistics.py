@@ -64,22 +64,7 @@ class FitStatistics:
         return len(self.surprise)
 
     def select(self, scans: ArrayLike) -> FitStatistics:
-        """Return the statistics of the given scans, in the given order.
-
-        Parameters
-        ----------
-        scans
-            Indices, or a mask (t,).
-
-        Returns
-        -------
-        The statistics.
-
-        Raises
-        ------
-        InvalidInputError
-            If the choice is neither indices that are there nor a mask of the right length.
-        """
+        """Return the statistics of the given scans, indices or a mask (t,), in the given order."""
         return subset_of(self, scans, len(self), "scans", [item.name for item in fields(self)])
 
 
@@ -207,11 +192,9 @@ def _field_surprise(model: LikelihoodFieldModel, z: FloatArray, poses: FloatArra
 
 
 def stopping_rays(model: RangeMixtureModel) -> RayCaster | None:
-    """Return a caster whose rays stop at unknown cells; None where that says nothing new.
+    """Return a caster in the model's grid whose rays stop at unknown cells; None where that says nothing new.
 
-    Returns
-    -------
-    A caster in the model's grid; None without a grid or unknown cells, or where the model's own rays stop there.
+    That is without a grid or unknown cells, or where the model's own rays stop there.
     """
     grid = grid_of(model)
     if grid is None or getattr(model, "unknown", "free") != "free" or not grid.unknown.any():
@@ -222,20 +205,9 @@ def stopping_rays(model: RangeMixtureModel) -> RayCaster | None:
 def known_expected_ranges(
     model: RangeMixtureModel, stopping: RayCaster | None, poses: FloatArray, finder: RangeFinder
 ) -> FloatArray:
-    """Return expected ranges, NaN where the ray enters unknown space first.
+    """Return expected ranges (t, k), metres; NaN where the ray enters unknown space first.
 
-    Parameters
-    ----------
-    model
-        The model whose expected ranges count.
-    stopping
-        Casts rays that stop at unknown cells; None: there are none.
-    poses, finder
-        (t, 3) poses and the sensor.
-
-    Returns
-    -------
-    (t, k) metres.
+    `stopping` casts rays that stop at unknown cells; None: there are none.
     """
     expected = model.expected(poses, finder)
     if stopping is not None:

@@ -97,16 +97,9 @@ def beam_surprise(
 def beam_side(
     ranges: FloatArray, expected_ranges: FloatArray, max_range: float, parameters: BeamParameters
 ) -> NDArray[np.int8]:
-    """Return how each reading disagrees: 0 hit, 1 short, 2 through the wall, 3 no return; -1 for no measurement.
+    """Return how each reading (..., k) disagrees: 0 hit, 1 short, 2 through the wall, 3 no return; -1 if it is none.
 
-    Parameters
-    ----------
-    ranges, expected_ranges, max_range, parameters
-        As for `beam_surprise`. A missing return where the ray hits nothing counts as a hit: it agrees.
-
-    Returns
-    -------
-    (..., k) one number per reading.
+    A missing return where the ray hits nothing counts as a hit: it agrees.
     """
     used = np.isfinite(ranges) & np.isfinite(expected_ranges)
     z, z_star = np.where(used, ranges, 0.0), np.minimum(np.where(used, expected_ranges, 0.0), max_range)

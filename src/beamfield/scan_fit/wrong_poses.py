@@ -21,32 +21,13 @@ def wrong_poses(
     poses: FloatArray, stretch: NDArray[np.int64], grid: OccupancyGrid, rng: np.random.Generator,
     *, share_near: float = 0.5,
 ) -> FloatArray:  # fmt: skip
-    """Draw wrong poses that follow the robot's motion, as those of a filter that is lost.
+    """Draw wrong poses (t, 3) that follow the robot's motion, as those of a filter that is lost.
 
     In each stretch the path is moved as a whole: near its place (0.5 to 3 m away, or turned by 20 to 180 degrees, or
-    both), or to a random free place with a random heading. It stays on free cells as far as a few tries allow.
+    both), in this share of the stretches, or to a random free place with a random heading. It stays on free cells as
+    far as a few tries allow.
 
-    Parameters
-    ----------
-    poses
-        (t, 3) true poses; NaN stays NaN.
-    stretch
-        (t,) number of the stretch of each scan.
-    grid
-        The map.
-    rng
-        Source of randomness.
-    share_near
-        Share of stretches that stay near their place.
-
-    Returns
-    -------
-    (t, 3) metres and radians.
-
-    Raises
-    ------
-    InvalidInputError
-        If the map has no free cell.
+    Stretch (t,) is the number of each scan's; NaN poses stay NaN. InvalidInputError if the map has no free cell.
     """
     free = grid.free
     rows, cols = np.nonzero(free)

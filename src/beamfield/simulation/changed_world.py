@@ -51,25 +51,9 @@ class Change:
 def change_world(
     grid: OccupancyGrid, bare: OccupancyGrid, rng: np.random.Generator
 ) -> tuple[OccupancyGrid, tuple[Change, ...]]:
-    """Move six pieces of furniture, or fewer, and build a wall if there is room, so that the map is out of date.
+    """Move up to six pieces of furniture, and build a wall if there is room; return the world, and what is new or gone.
 
-    Parameters
-    ----------
-    grid
-        The world as mapped.
-    bare
-        The same without furniture; see `draw_floor_plan`.
-    rng
-        Chooses what is moved, and where to.
-
-    Returns
-    -------
-    The changed world, and what is new or gone in it.
-
-    Raises
-    ------
-    InvalidInputError
-        If the two grids differ in shape.
+    `bare` is the world without furniture (see `draw_floor_plan`), a grid of the same shape.
     """
     require(grid.shape == bare.shape, "bare", f"shape {grid.shape}, as the grid has", bare.shape)
     world, changes = grid, list[Change]()

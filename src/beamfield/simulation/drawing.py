@@ -106,15 +106,7 @@ class Canvas:
         self.reserved[self._block(room)] = True
 
     def build(self, shape: Shape, pose: FloatArray | None = None) -> None:
-        """Add solid material, whatever is there.
-
-        Parameters
-        ----------
-        shape
-            What is solid.
-        pose
-            (3,) of the shape's frame on the canvas, metres and radians; None: the canvas's own frame.
-        """
+        """Add solid material, whatever is there; the pose (3,) is that of the shape's frame on the canvas, or None."""
         pose = np.zeros(3) if pose is None else pose
         window, x, y = self._window(shape, pose)
         self.solid[window] |= shape.contains(x, y)
@@ -122,17 +114,8 @@ class Canvas:
     def put(self, thing: Thing, pose: FloatArray) -> bool:
         """Put a piece of furniture where there is room for it: neither solid material nor a region kept free.
 
-        Parameters
-        ----------
-        thing
-            The thing; its footprint is kept free of others from then on.
-        pose
-            (3,) of its frame on the canvas, metres and radians.
-
-        Returns
-        -------
-        bool
-            Whether there was room; if not, nothing has changed.
+        The pose (3,) is of its frame on the canvas; its footprint is kept free of others from then on. Return whether
+        there was room; if not, nothing has changed.
         """
         window, x, y = self._window(thing.footprint, pose)
         floor = thing.footprint.contains(x, y)

@@ -128,23 +128,9 @@ def simulate_log(
 
 
 def scan_stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
-    """Return the stamps of a log's scans.
+    """Return the stamps (t,) of a log's scans, evenly spaced from the start on, seconds.
 
-    Parameters
-    ----------
-    duration, start
-        Seconds.
-    scan_rate
-        Scans per second.
-
-    Returns
-    -------
-    (t,) seconds, evenly spaced from the start on.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is out of range, or there would be no scan or too many; it is named.
+    InvalidInputError names a number that is out of range, or makes no scan or too many.
     """
     for name, value in (("duration", duration), ("scan_rate", scan_rate)):
         require(0.0 < value < np.inf, name, "a positive, finite number", value)
@@ -174,20 +160,10 @@ def drawn_readings(
     stamps: FloatArray | None = None,
     dependence: Dependence | None = None,
 ) -> FloatArray:
-    """Draw readings from the beam model; where nothing can be hit, hits are missing returns (see `simulate_log`).
+    """Draw readings (t, k) from the beam model, metres; where nothing can be hit, hits are missing returns, +inf.
 
-    Parameters
-    ----------
-    expected
-        (t, k) expected ranges, metres; max_range where there is nothing.
-    finder, parameters, rng
-        As for `simulate_log`, and the source of randomness.
-    stamps, dependence
-        (t,) seconds, and how far neighbours err alike; None: all are independent.
-
-    Returns
-    -------
-    (t, k) metres; +inf for no return.
+    Expected ranges (t, k) are max_range where there is nothing. Stamps (t,) are needed with a dependence alone:
+    without, all readings are independent. See `simulate_log`.
     """
     nothing = expected >= finder.max_range
     without_hits = replace(parameters, z_hit=0.0, z_max=parameters.z_max + parameters.z_hit)

@@ -25,9 +25,8 @@ def sonar_ring(
     radius: float = 0.2,
     opening_angle: float = np.radians(30.0),
     max_range: float = 5.0,
-    first_bearing: float = 0.0,
 ) -> RangeFinder:
-    """Return a ring of sonars on the robot's rim, evenly spaced, looking outwards.
+    """Return a ring of sonars on the robot's rim, evenly spaced, looking outwards, the first one ahead.
 
     Parameters
     ----------
@@ -39,8 +38,6 @@ def sonar_ring(
         Full width of each cone, radians.
     max_range
         Limit of each sensor, metres.
-    first_bearing
-        Where the first sensor looks, radians; the others follow counter-clockwise.
 
     Returns
     -------
@@ -58,7 +55,7 @@ def sonar_ring(
     """
     n_sensors = as_count(n_sensors, "n_sensors", least=1, most=MOST_SENSORS)
     require(0.0 <= radius < np.inf, "radius", "a finite number of metres >= 0", radius)
-    bearings = first_bearing + np.arange(n_sensors) * (2.0 * np.pi / n_sensors)
+    bearings = np.arange(n_sensors) * (2.0 * np.pi / n_sensors)
     turned = np.column_stack([np.zeros((n_sensors, 2)), bearings])
     mounts = compose(turned, [radius, 0.0, 0.0])
     return RangeFinder(mounts, max_range, opening_angle=opening_angle, name="sonar")

@@ -70,28 +70,11 @@ def drive_through(
 
     The robot starts at the most open place and goes on to near places that it has not seen yet, so that a longer drive
     sees more of the map. Where the next path leads back, it stops and turns on the spot. Paths are shortest on a graph
-    of cells where closeness to obstacles costs, then smoothed without coming closer than allowed.
+    of cells where closeness to obstacles costs, then smoothed without coming closer than allowed. Unknown cells count
+    as obstacles.
 
-    Parameters
-    ----------
-    grid
-        The map; unknown cells count as obstacles.
-    stamps
-        (t,) seconds, increasing: when the pose is wanted.
-    seed
-        Chooses the order of places.
-    options
-        Size and speed of the robot.
-
-    Returns
-    -------
-    Track
-        The stamps, and the true poses (t, 3) in the map frame, heading along the path.
-
-    Raises
-    ------
-    InvalidInputError
-        If the stamps do not increase or the map has no room for a drive of this robot.
+    The poses, heading along the path, are those at the stamps (t,), which increase. InvalidInputError if they do not,
+    or the map has no room for a drive of this robot.
     """
     options = options or DriveOptions()
     times = np.array(stamps, dtype=np.float64)
@@ -110,16 +93,9 @@ def drive_through(
 
 
 def clearance_map(grid: OccupancyGrid) -> FloatArray:
-    """Return a lower bound of the distance from each free cell's centre to what is not free, metres.
+    """Return a lower bound (rows, cols) of the distance from each free cell's centre to what is not free, metres.
 
-    Parameters
-    ----------
-    grid
-        The map; what lies beyond its border is not free.
-
-    Returns
-    -------
-    (rows, cols) metres; negative in cells that are not free.
+    What lies beyond the map's border is not free; cells that are not free are negative.
     """
     inside = ndimage.distance_transform_edt(np.pad(grid.free, 1))[1:-1, 1:-1]
     # From centre to centre; the obstacle reaches up to half a diagonal closer.

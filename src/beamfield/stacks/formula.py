@@ -38,16 +38,10 @@ class Formula(NamedTuple):
         return float(own) if max_range is None else min(float(own), max_range)
 
     def field_weights(self, distances: FloatArray, limit: float, cell: float | None = None) -> FloatArray:
-        """Return the log-weights (n,) of a field.
+        """Return the log-weights (n,) of a field, by the distances (n, k) from end points to obstacles, metres.
 
-        Parameters
-        ----------
-        distances
-            (n, k) from end points to obstacles, metres.
-        limit
-            What random readings are divided by, metres.
-        cell
-            Side of the map's cells, metres: some programs cut distances off at a whole number of them. None for none.
+        The limit is what random readings are divided by. Some programs cut distances off at a whole number of the map's
+        cells; None for none.
         """
         made, settings = self._emulator(FINE if cell is None else cell)
         places = np.full(distances.shape, KNOWN, np.int8)
@@ -55,16 +49,9 @@ class Formula(NamedTuple):
         return np.asarray(made.log_weights(evidence))
 
     def ray_weights(self, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float) -> FloatArray:
-        """Return the log-weights (n,) of a beam model.
+        """Return the log-weights (n,) of a beam model, by readings (k,) and expected ranges (n, k), metres.
 
-        Parameters
-        ----------
-        ranges, expected
-            (k,) and (n, k) readings and expected ranges, metres.
-        max_range
-            The sensor's longest range, metres.
-        cell
-            Side of the map's cells, metres, in which some programs count.
+        The cell is the side of the map's cells, in which some programs count.
         """
         made, settings = self._emulator(cell)
         return np.asarray(

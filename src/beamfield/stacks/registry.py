@@ -27,13 +27,7 @@ def stack_named(name: str) -> Stack:
 
 
 def model_named(stack: str, model: str | None = None) -> Model:
-    """Return a stack's model, by default the one that it runs if its file names none.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no such stack, or it has no such model.
-    """
+    """Return a stack's model, by default the one that it runs if its file names none; refuse unknown names."""
     found = stack_named(stack)
     return found.model(found.default_model if model is None else model)
 
@@ -63,21 +57,10 @@ def build_model(stack: str, model: str, grid: OccupancyGrid, parameters: Any, **
 
 
 def build_filter(stack: str, model: StackModel[Any, Any], motion: Any = None, parameters: Any = None) -> ReplayedFilter:
-    """Return a stack's particle filter with one of its measurement models.
+    """Return a stack's particle filter with one of its measurement models on a map.
 
-    Parameters
-    ----------
-    stack
-        For example "nav2".
-    model
-        One of its models on a map.
-    motion, parameters
-        Of the classes that its description names; by default the program's defaults.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no such stack, its filter is not emulated, or the map has no free cell.
+    Motion and parameters are of the classes that its description names; by default the program's defaults.
+    InvalidInputError if there is no such stack, its filter is not emulated, or the map has no free cell.
     """
     described = stack_named(stack).filter
     if described is None:

@@ -175,20 +175,9 @@ def exponents_of(
     n_beams: int | None,
     log: SensorLog,
 ) -> ExponentLearning:
-    """Return the exponents of windows whose log-likelihoods are known.
+    """Return the exponents of windows whose log-likelihoods (w, s, n) are known, from `scan_log_likelihoods`.
 
-    Parameters
-    ----------
-    values
-        (w, s, n) from `scan_log_likelihoods`.
-    windows, rivals, options
-        The windows.
-    blocks
-        (t,) block of time of each scan of the log.
-    n_beams
-        Of the model.
-    log
-        The log.
+    Blocks (t,) are those of time of each scan of the log; n_beams are the model's.
     """
     held_out = np.array([window.fold == HELD_OUT for window in windows])
     block = np.array([blocks[window.scans[0]] for window in windows])
@@ -204,18 +193,9 @@ def exponents_of(
 def scan_log_likelihoods(
     model: RangeMixtureModel | LikelihoodFieldModel, log: SensorLog, windows: Sequence[Window]
 ) -> FloatArray:
-    """Return log p of the scans of windows at the poses that compete in them, with exponent 1.
+    """Return log p (w, s, n) of the s scans of w windows at the n poses that compete in them, with exponent 1.
 
-    Parameters
-    ----------
-    model
-        The model.
-    log, windows
-        The log, and w windows of it with s scans and n poses each.
-
-    Returns
-    -------
-    (w, s, n) nats, near poses before far ones.
+    Near poses come before far ones.
     """
     return np.array(
         [
@@ -229,16 +209,9 @@ def scan_log_likelihoods(
 
 
 def score_exponents(log_likelihoods: FloatArray, exponents: FloatArray, rivals: Rivals) -> list[PosteriorScores]:
-    """Return the scores of posteriors under each exponent.
+    """Return the scores of posteriors under each exponent > 0 (c,), of w drives or scans at n poses.
 
-    Parameters
-    ----------
-    log_likelihoods
-        (w, n) nats of w drives or scans at n poses.
-    exponents
-        (c,) each > 0.
-    rivals
-        As the windows were cut with.
+    The rivals are those that the windows were cut with.
     """
     n_near = len(rivals.offsets)
     return [judge_weights((power * log_likelihoods)[:, None], n_near, rivals)[0] for power in exponents]

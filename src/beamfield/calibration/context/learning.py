@@ -143,18 +143,10 @@ def learn_in_context(
 
 
 def score_and_weights(values: FloatArray, rivals: Rivals) -> tuple[FloatArray, FloatArray]:
-    """Return the log scores of posteriors, and the weights of log-likelihoods whose sum has the score's derivative.
+    """Return log scores (w,) of posteriors, and weights (w, n) of log-likelihoods whose sum has the score's derivative.
 
-    Parameters
-    ----------
-    values
-        (w, n) log-likelihoods of windows, near poses before far ones, times the exponent.
-    rivals
-        As the windows were cut with.
-
-    Returns
-    -------
-    (w,) nats, as `PosteriorScores.log_score`; (w, n): 1 at the truth less the posterior, mean over guesses at both.
+    The values (w, n) are log-likelihoods of windows, near poses before far ones, times the exponent. Scores are as
+    `PosteriorScores.log_score`; weights are 1 at the truth less the posterior, mean over guesses at both.
     """
     n_truths, n_near = rivals.mass.shape
     n_far = values.shape[1] - n_near

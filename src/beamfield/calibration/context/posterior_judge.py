@@ -47,13 +47,7 @@ class PosteriorScores:
         return self.coverage_at(0.95)
 
     def coverage_at(self, level: float) -> float:
-        """Return the share of the guesses at the truth, over all windows, that the region of a probability holds.
-
-        Parameters
-        ----------
-        level
-            Probability of the region.
-        """
+        """Return the share of the guesses at the truth, over all windows, that the region of a probability holds."""
         return float((self.denser < level).mean())
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> PosteriorScores:

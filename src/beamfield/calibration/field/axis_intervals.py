@@ -22,18 +22,10 @@ def axis_intervals(
     """Return 95% intervals of z_hit, z_rand and sigma_hit, and the number of blocks they rest on.
 
     What each block of time adds to an estimate is, to first order, the inverse of the curvature times the sum of its
-    readings' gradients; the spread of that is what a jackknife over blocks finds.
+    readings' gradients; the spread of that is what a jackknife over blocks finds. Blocks (t,) are those of each scan of
+    the log.
 
-    Parameters
-    ----------
-    table, fit
-        The readings fitted to, and the fit.
-    blocks
-        (t,) block of each scan of the log.
-
-    Returns
-    -------
-    (low, high) by name, (0, inf) where a parameter is undetermined: at a bound, without hits, or in a single block.
+    (low, high) by name; (0, inf) where a parameter is undetermined: at a bound, without hits, or in a single block.
     """
     _, block = np.unique(blocks[np.concatenate([table.scan, table.no_return_scan])], return_inverse=True)
     n_blocks = int(block.max()) + 1

@@ -20,15 +20,7 @@ def has_no_hits(table: AxisTable, fit: DensityFit) -> bool:
 
 
 def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> Iterator[Finding]:
-    """Return what the readings do not tell about z_hit, z_rand and sigma_hit.
-
-    Parameters
-    ----------
-    table, fit
-        The readings fitted to, and the fit.
-    n_blocks
-        Blocks of time that the intervals rest on.
-    """
+    """Return what the readings, and their blocks of time, do not tell about z_hit, z_rand and sigma_hit."""
     low, high = sigma_bounds(table)
     sigma, share = fit.mixture.sigma, fit.mixture.hit_share
     if has_no_hits(table, fit):
@@ -91,14 +83,8 @@ def exponent_findings(
 ) -> Iterator[Finding]:
     """Return what is to be known of the exponent and of the posteriors it makes.
 
-    Parameters
-    ----------
-    reason
-        Why the exponent was not learned; empty if it was.
-    score, standard_error
-        Of held-out windows, nats over knowing nothing; None without windows.
-    cones
-        Whether the readings are cones, as a sonar's.
+    The reason says why it was not learned; empty if it was. The score and its standard error are of held-out windows,
+    nats over knowing nothing; None without windows. Cones are a sonar's.
     """
     if reason:
         yield Finding(

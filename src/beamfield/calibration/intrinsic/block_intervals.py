@@ -181,23 +181,11 @@ def intervals_of_blocks(
 ) -> tuple[IntervalResult, FloatArray]:
     """Return what `block_intervals` does from sums over the beams of each block, wherever they lie.
 
-    Parameters
-    ----------
-    problem, theta
-        What was learned, and the working vector (8,) at the maximum.
-    gradients
-        Gradient of each block's log-likelihood there, (b, 8).
-    hessian
-        Of the log-likelihood of all beams, (8, 8).
-    sizes
-        Beams of each block, (b,).
-    length
-        Of a block, seconds.
+    theta (8,) is the working vector at the maximum; gradients (b, 8) are those of each block's log-likelihood there,
+    the hessian (8, 8) that of all beams, sizes (b,) are beams of each block, and a block lasts `length` seconds.
 
-    Returns
-    -------
-    The intervals, and the covariance (8, 8) of the working vector: 0 for what is held or sits on a bound, NaN if there
-    is one block only.
+    The second result is the covariance (8, 8) of the working vector: 0 for what is held or sits on a bound, NaN if
+    there is one block only.
     """
     if len(sizes) == 1:
         nothing = np.full((N_PARAMETERS, N_PARAMETERS), np.nan)

@@ -72,26 +72,10 @@ def climb(
 ) -> Climb:
     """Alternate EM steps and, once they have found their basin, Newton steps on the observed likelihood.
 
-    Parameters
-    ----------
-    likelihood, problem, start
-        Beams, what is free, and where to start (made valid first).
-    tolerance
-        Nats per beam that one more step may promise when this counts as converged.
-    max_iterations
-        Most EM and Newton steps together.
-    accelerate
-        Whether Newton steps are taken; without, this is plain EM.
-    em_steps_first
-        EM steps before the first Newton step.
-    known
-        Log-likelihood, gradient and Hessian at the start if known already; saves the first passes.
-    report
-        Called with the number of each iteration.
-
-    Returns
-    -------
-    The end of the climb, converged or not.
+    The start is made valid first. It has converged where one more step promises less than the tolerance, nats per beam;
+    EM and Newton steps together are at most max_iterations. Newton steps follow the first em_steps_first of EM; without
+    `accelerate` there are none. If log-likelihood, gradient and Hessian at the start are known already, that saves the
+    first passes. The number of each iteration is reported.
     """
     climber = _Climber(likelihood, problem, problem.apply(start), known)
     em_left = em_steps_first

@@ -16,21 +16,10 @@ _LEAST_INFORMATION = 1e-20
 
 
 def naive_covariance(likelihood: IntrinsicLikelihood, problem: LearningProblem, theta: FloatArray) -> FloatArray:
-    """Return the inverse of the observed information, as if beams were independent.
+    """Return the inverse of the observed information (8, 8) at the maximum theta (8,), as if beams were independent.
 
     Real beams depend on their neighbours: standard errors from this are 4 to 24 times too small; it serves to compare
-    directions, not to report.
-
-    Parameters
-    ----------
-    likelihood, problem
-        The beams, and what is free.
-    theta
-        (8,) working vector at the maximum.
-
-    Returns
-    -------
-    (8, 8) covariance of the working vector; 0 for what is held or sits on a bound.
+    directions, not to report. 0 for what is held or sits on a bound.
     """
     _, _, hessian = likelihood.derivatives(theta)
     hessian = hessian + problem.priors.log_density(theta)[2]
@@ -43,14 +32,7 @@ def naive_covariance(likelihood: IntrinsicLikelihood, problem: LearningProblem, 
 def inverse_root(information: FloatArray) -> FloatArray:
     """Return R with R R' the inverse of an information matrix, flat and falling directions taken as nearly flat.
 
-    Parameters
-    ----------
-    information
-        (m, m) symmetric; negative of a Hessian at a maximum.
-
-    Returns
-    -------
-    (m, m), so that R' information R is the unit matrix.
+    The matrix (m, m) is symmetric, the negative of a Hessian at a maximum; R' information R is the unit matrix.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(information)), _LEAST_INFORMATION))
     curvature, directions = np.linalg.eigh(information * np.outer(scale, scale))
@@ -58,18 +40,9 @@ def inverse_root(information: FloatArray) -> FloatArray:
 
 
 def free_directions(moving: NDArray[np.bool_], theta: FloatArray) -> FloatArray:
-    """Return the directions in which the maximum may move.
+    """Return the directions in which the maximum may move, (8, m): a column per entry that moves on its own, in order.
 
-    Parameters
-    ----------
-    moving
-        (8,) which entries of the working vector may change.
-    theta
-        (8,) working vector; the largest moving weight gives or takes what the others change.
-
-    Returns
-    -------
-    (8, m) one column per entry that moves on its own, in their order.
+    The largest moving weight of the working vector theta (8,) gives or takes what the others change.
     """
     weights = [i for i in range(4) if moving[i]]
     pivot = max(weights, key=lambda i: float(theta[i]), default=-1)

@@ -65,21 +65,12 @@ class Mode:
 def identifiability_findings(
     likelihood: IntrinsicLikelihood, problem: LearningProblem, theta: FloatArray, modes: tuple[Mode, ...]
 ) -> tuple[Finding, ...]:
-    """Name what these beams leave open at the maximum `theta`.
+    """Name what these beams leave open at the maximum `theta` (8,), the first of the maxima that were found.
 
     The names: ``no-returns``, ``no-max-readings``, ``no-hits``, ``no-shorts``, ``no-random``,
     ``readings-at-near-limit``, ``lambda-undetermined``, ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``,
     ``noise-all-slope``, ``sigma-confounded``, ``offset-at-limit``, ``hits-and-shorts-confounded``,
     ``hits-and-random-confounded``, ``shorts-and-random-confounded``, ``several-modes``.
-
-    Parameters
-    ----------
-    likelihood, problem
-        The beams, and what is free.
-    theta
-        (8,) working vector at the maximum.
-    modes
-        The maxima that were found, the best first.
     """
     if likelihood.n_returned == 0.0:
         return (

@@ -34,8 +34,6 @@ def learn_from_known_causes(
     *,
     min_range: float = 0.0,
     closed_form: bool = False,
-    fit_offset: bool = False,
-    fit_sigma_slope: bool = False,
 ) -> BeamParameters:
     """Return the maximum-likelihood parameters of beams whose causes are known.
 
@@ -55,12 +53,10 @@ def learn_from_known_causes(
         Nearer readings were dropped, metres; what is learned describes the others.
     closed_form
         Whether to use (6.19) and (6.23), with ranges counted from min_range in (6.23).
-    fit_offset, fit_sigma_slope
-        Learn the hits' offset and the growth of their noise too; not with `closed_form`.
 
     Returns
     -------
-    Weights and shapes; range_offset and sigma_slope are 0 unless they were to be learned.
+    Weights and shapes of the chapter: range_offset and sigma_slope are 0.
 
     Raises
     ------
@@ -84,8 +80,6 @@ def learn_from_known_causes(
     BeamParameters(z_hit=0.5, z_short=0.25, z_max=0.25, z_rand=0.0, sigma_hit=0.1..., lambda_short=2.0, ...)
     """
     check_limits(max_range, min_range)
-    if closed_form and (fit_offset or fit_sigma_slope):
-        raise InvalidInputError("closed_form: (6.19) has no offset or slope; expected both not to be learned")
     z = np.asarray(ranges, dtype=np.float64)
     expected = np.asarray(expected_ranges, dtype=np.float64)
     numbers = _numbers(causes)
@@ -97,9 +91,7 @@ def learn_from_known_causes(
     if counts[W_HIT] == 0.0:
         raise TooLittleDataError(f"0 hits among {z.size} beams: sigma_hit is not defined")
 
-    problem = learning_problem(
-        float(max_range), min_range=float(min_range), fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
-    )
+    problem = learning_problem(float(max_range), min_range=float(min_range))
     z, expected = counted_from(min_range, z, max_range), expected_from(min_range, expected)
     theta = _closed_form(z, expected, numbers, counts, problem)
     if not closed_form:

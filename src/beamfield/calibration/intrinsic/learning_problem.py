@@ -76,16 +76,9 @@ class LearningProblem:
         return _POSITIONS[name]
 
     def apply(self, theta: FloatArray) -> FloatArray:
-        """Make a working vector valid.
+        """Make a working vector (8,) of any numbers valid.
 
-        Parameters
-        ----------
-        theta
-            (8,) any numbers.
-
-        Returns
-        -------
-        (8,) held values in place, the rest inside the bounds, the free weights sharing what held ones leave of 1.
+        Held values are in place, the rest inside the bounds, the free weights share what held ones leave of 1.
         """
         new = np.clip(np.where(self.free, theta, self.held), self.lower, self.upper)
         free = self.free[:4]
@@ -106,28 +99,11 @@ def learning_problem(
     fit_offset: bool = False,
     fit_sigma_slope: bool = False,
 ) -> LearningProblem:
-    """Check what is to be held and lay out the problem.
+    """Check what is to be held, by the names of `BeamParameters`, and lay out the problem.
 
-    Parameters
-    ----------
-    max_range, min_range
-        Limits of the sensor, metres.
-    hold
-        Parameters to keep at a value, by the names of `BeamParameters`.
-    priors
-        None says nothing.
-    fit_offset, fit_sigma_slope
-        Whether range_offset and sigma_slope are learned; else they are held, at 0 if `hold` has no other value.
-
-    Returns
-    -------
-    The problem.
-
-    Raises
-    ------
-    InvalidInputError
-        If the limits are not 0 <= min_range < max_range, a held name is unknown, a held value is impossible or held
-        weights leave nothing to share.
+    range_offset and sigma_slope are held, at 0 if `hold` has no other value, where they are not to be fitted.
+    InvalidInputError if the limits are not 0 <= min_range < max_range, a held name is unknown, a held value is
+    impossible or held weights leave nothing to share.
     """
     check_limits(max_range, min_range)
     hold = dict(hold or {})

@@ -146,33 +146,16 @@ class IntrinsicLikelihood:
         return self.n_returned + self.n_max
 
     def reweighted(self, weights: FloatArray) -> IntrinsicLikelihood:
-        """Return the same beams, counted differently.
-
-        Parameters
-        ----------
-        weights
-            (n,) how often each beam counts, in the caller's order.
-
-        Returns
-        -------
-        A likelihood that shares the beams with this one.
-        """
+        """Return the same beams, shared, each counted as often as the weights (n,) say in the caller's order."""
         other = self._shallow_copy()
         other._set_weights(weights, n_max=0.0)
         return other
 
     def thinned(self, n: int) -> IntrinsicLikelihood:
-        """Return some of the beams, evenly spread over the expected ranges.
+        """Return about n of the beams, never fewer, evenly spread over the expected ranges.
 
-        Parameters
-        ----------
-        n
-            About how many; never fewer.
-
-        Returns
-        -------
-        A likelihood whose readings at maximum range count in proportion, on the CPU; self where there are fewer than
-        2 n beams with a return.
+        It is a likelihood on the CPU whose readings at maximum range count in proportion; self where there are fewer
+        than 2 n beams with a return.
         """
         stride = int(self.ranges.size // max(n, 1))
         if stride < 2:
@@ -196,18 +179,10 @@ class IntrinsicLikelihood:
         return other
 
     def expected_statistics(self, theta: FloatArray, *, slope_is_free: bool = False) -> ExpectedStatistics:
-        """Do the E-step: one pass over the beams.
+        """Do the E-step at the working vector theta (8,): one pass over the beams.
 
-        Parameters
-        ----------
-        theta
-            (8,) working vector.
-        slope_is_free
-            Whether the M-step will need the moments for a slope though it is 0 here.
-
-        Returns
-        -------
-        Statistics; the log-likelihood is -inf where readings at maximum range have weight 0.
+        `slope_is_free`: the M-step will need the moments for a slope though it is 0 here. The log-likelihood is -inf
+        where readings at maximum range have weight 0.
         """
         bins = self._cut(theta)
         n_bins = bins.starts.size
@@ -241,16 +216,9 @@ class IntrinsicLikelihood:
         )
 
     def derivatives(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the log-likelihood and its derivatives, the weights taken as independent.
+        """Return the log-likelihood, nats summed over beams, its gradient (8,) and its Hessian (8, 8) at theta (8,).
 
-        Parameters
-        ----------
-        theta
-            (8,) working vector.
-
-        Returns
-        -------
-        Nats, summed over beams; gradient (8,); Hessian (8, 8).
+        The weights are taken as independent.
         """
         bins = self._cut(theta)
         n = kernels.N_DERIVATIVES

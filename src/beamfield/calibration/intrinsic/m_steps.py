@@ -29,20 +29,10 @@ _SECOND = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])
 
 
 def m_step(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem) -> FloatArray:
-    """Return the parameters that maximise the expected log-likelihood plus log prior.
+    """Return the parameters (8,) that maximise the expected log-likelihood plus log prior.
 
-    Parameters
-    ----------
-    statistics
-        Of the E-step.
-    theta
-        (8,) working vector that it was done with.
-    problem
-        What is free.
-
-    Returns
-    -------
-    (8,) working vector: what is held stays, and so do shapes of causes that explain no beam.
+    The statistics are of the E-step at the working vector theta (8,). What is held stays, and so do shapes of causes
+    that explain no beam.
 
     References
     ----------

@@ -67,17 +67,7 @@ class IntrinsicPriors:
         return np.array([float(self.weight_counts.get(name, 0.0)) for name in _WEIGHTS])
 
     def log_density(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the log prior up to a constant, with its derivatives.
-
-        Parameters
-        ----------
-        theta
-            (8,) working vector.
-
-        Returns
-        -------
-        Nats; gradient (8,); Hessian (8, 8).
-        """
+        """Return the log prior up to a constant, nats, with its gradient (8,) and Hessian (8, 8) at theta (8,)."""
         value = 0.0
         gradient, hessian = np.zeros(N_PARAMETERS), np.zeros((N_PARAMETERS, N_PARAMETERS))
         for i, count in enumerate(self.counts):

@@ -25,19 +25,7 @@ MOST_STARTS = len(_STARTS)
 
 
 def data_driven_starts(likelihood: IntrinsicLikelihood, problem: LearningProblem, n: int) -> list[FloatArray]:
-    """Return working vectors to climb from, widest hopes first.
-
-    Parameters
-    ----------
-    likelihood, problem
-        The beams, and what is free.
-    n
-        How many, 1 to 6.
-
-    Returns
-    -------
-    Valid working vectors (8,); a single one if no beam has a return.
-    """
+    """Return n (1 to 6) valid working vectors (8,) to climb from, widest hopes first; one if no beam has a return."""
     z, expected = likelihood.ranges, likelihood.expected
     max_range = likelihood.max_range
     share_max = likelihood.n_max / likelihood.n_beams

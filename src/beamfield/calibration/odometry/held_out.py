@@ -44,15 +44,7 @@ class Blocks:
 
 
 def blocks_of(first: NDArray[np.int64], length: int) -> Blocks:
-    """Return blocks of equal numbers of steps.
-
-    Parameters
-    ----------
-    first
-        (w,) step that each window begins with, ascending.
-    length
-        Steps of a window.
-    """
+    """Return blocks of equal numbers of steps, by the step (w,), ascending, that each window begins with."""
     origin, n_steps = int(first[0]), int(first[-1] - first[0] + length)
     n = min(max(n_steps // (WINDOWS_OF_A_BLOCK * length), 1), MOST_BLOCKS)
     begins = (first - origin) * n // n_steps

@@ -145,22 +145,7 @@ def calibrate_odometry(
 
 @checked
 def learn_systematic_errors(log: SensorLog, *, covariances: ArrayLike | None) -> SystematicErrors:
-    """Learn only the systematic errors of a log's odometry, with their covariance; much faster than all of it.
-
-    Parameters
-    ----------
-    log, covariances
-        As for `calibrate_odometry`.
-
-    Returns
-    -------
-    The errors that are in the result of `calibrate_odometry`, too.
-
-    Raises
-    ------
-    InvalidInputError, TooLittleDataError
-        As for `calibrate_odometry`.
-    """
+    """Learn only the systematic errors that `calibrate_odometry` does, with their covariance; much faster than all."""
     fit, _, _ = _cut(log, OdometryOptions(), covariances)
     return fit.systematic_errors()[0]
 

@@ -22,18 +22,10 @@ MOST_STEPS, LONGEST_STEP = 60, 2.0
 def fit_levels(
     residuals: FloatArray, reference: FloatArray, units: FloatArray, start: FloatArray | None = None
 ) -> FloatArray:
-    """Return the levels (k,) that make the windows likeliest.
+    """Return the levels (k,) that make the windows likeliest, by their residuals (w, 3).
 
-    Parameters
-    ----------
-    residuals
-        (w, 3).
-    reference
-        (w, 3, 3) the known covariance.
-    units
-        (k, w, 3, 3) what level 1 of each kind of noise adds to it.
-    start
-        (k,) positive; None: where the median window is as far off as it should be.
+    The reference (w, 3, 3) is the known covariance, the units (k, w, 3, 3) are what level 1 of each kind of noise adds
+    to it. The start (k,) is positive; None: where the median window is as far off as it should be.
     """
     start = common_start(residuals, reference, units) if start is None else start
     by_window = np.ascontiguousarray(np.swapaxes(units, 0, 1))

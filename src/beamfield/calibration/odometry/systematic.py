@@ -16,14 +16,7 @@ def systematic_errors(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the errors (4,) in the order of `SYSTEMATIC`, and what share of their prior spread is left (4,).
 
-    Parameters
-    ----------
-    residuals
-        (w, 3).
-    design
-        (w, 3, 4), see `OdometryWindows.design`.
-    covariance
-        (w, 3, 3) of the residuals.
+    Residuals (w, 3) have the covariance (w, 3, 3); the design (w, 3, 4) is that of `OdometryWindows.design`.
     """
     weighted = np.linalg.solve(covariance, design)
     information = np.sum(np.swapaxes(design, 1, 2) @ weighted, axis=0)

@@ -128,15 +128,8 @@ class OdometryWindows:
 def update_scans(odometry: FloatArray, min_distance: float, min_turn: float) -> NDArray[np.int64]:
     """Return the scans at which a filter updates: the first, and each that is far enough from the last.
 
-    Far enough, as in AMCL: x or y of the odometry frame differ by more than `min_distance`, or the heading by more than
-    `min_turn`. Scans whose odometry is NaN are skipped.
-
-    Parameters
-    ----------
-    odometry
-        (t, 3), NaN where there is none.
-    min_distance, min_turn
-        Metres and radians; 0 for every scan.
+    Far enough, as in AMCL: x or y of the odometry frame (t, 3) differ by more than `min_distance`, or the heading by
+    more than `min_turn`; 0 for every scan. Scans whose odometry is NaN are skipped.
     """
     chosen: list[int] = []
     for i in np.flatnonzero(np.isfinite(odometry).all(axis=1)).tolist():
@@ -153,23 +146,10 @@ def update_scans(odometry: FloatArray, min_distance: float, min_turn: float) -> 
 def cut_odometry_windows(
     odometry: FloatArray, poses: FloatArray, covariances: FloatArray, scans: NDArray[np.int64], length: int
 ) -> OdometryWindows:
-    """Compare odometry and reference over every `length` update steps.
+    """Compare odometry and reference (t, 3) over every `length` update steps, from `update_scans`.
 
-    Parameters
-    ----------
-    odometry, poses
-        (t, 3) of each scan; windows begin and end where the pose is finite.
-    covariances
-        (t, 3, 3) of the poses in their frame. The errors at a window's two ends count as independent.
-    scans
-        From `update_scans`.
-    length
-        Steps of a window, at least 1.
-
-    Raises
-    ------
-    TooLittleDataError
-        If there are fewer than 12 windows.
+    Windows begin and end where the pose is finite. Covariances (t, 3, 3) are those of the poses in their frame; the
+    errors at a window's two ends count as independent. TooLittleDataError if there are fewer than 12 windows.
     """
     posed = np.asarray(np.isfinite(poses[scans]).all(axis=1))
     first = np.arange(max(len(scans) - length, 0))

@@ -144,10 +144,7 @@ class BagFile:
     def find_topic(self, name: str, *msgtypes: str) -> str:
         """Return the topic of that name, which holds one of these types; a leading slash may be left out.
 
-        Raises
-        ------
-        InvalidInputError
-            If the bag has no such topic (the text lists those it has), or it is of another type.
+        InvalidInputError if the bag has no such topic (the text lists those it has), or it is of another type.
         """
         topic = next((t for t in (name, f"/{name}") if t in self.topics), None)
         if topic is None:
@@ -160,12 +157,7 @@ class BagFile:
     def only_topic(self, what: str, name: str | None, *msgtypes: str, preferred: str = "") -> str:
         """Return the topic of that name; if it is None the only one of these types, or the preferred one of several.
 
-        Raises
-        ------
-        FormatError
-            If there is none; `what` says of what.
-        InvalidInputError
-            As for `find_topic`, or if there are several.
+        FormatError says `what` the bag has none of; InvalidInputError as for `find_topic`, or if there are several.
         """
         if name is not None:
             return self.find_topic(name, *msgtypes)
@@ -185,11 +177,8 @@ class BagFile:
     def messages(self, topics: Iterable[str]) -> Iterator[BagMessage]:
         """Yield the messages of some topics.
 
-        Raises
-        ------
-        FormatError
-            If the bag is damaged (topic and message number are named), the file ends early, or a topic has messages of
-            several types.
+        FormatError if the bag is damaged (topic and message number are named), the file ends early, or a topic has
+        messages of several types.
         """
         wanted = set(topics)
         connections = [c for c in self._reader.connections if c.topic in wanted]

@@ -125,28 +125,11 @@ class TransformBuffer:
 
     def look_up(self, target: str, source: str, stamps: ArrayLike, *, max_gap: float = np.inf,
                 hold: bool = False) -> Transforms:  # fmt: skip
-        """Return target_from_source at each stamp.
+        """Return target_from_source at each stamp (n,), NaN where a link of the chain is not known at that time.
 
-        Parameters
-        ----------
-        target, source
-            Names of the frames.
-        stamps
-            (n,) seconds.
-        max_gap
-            Longest time in seconds between two transforms that is interpolated.
-        hold
-            Whether the first and the last transform also hold before and after: for parts that do not move.
-
-        Returns
-        -------
-        n transforms; NaN where a link of the chain is not known at that time.
-
-        Raises
-        ------
-        FormatError
-            If the frames are not connected (the text names both, and the trees that are known), or a transform on
-            the chain is not finite or not a rotation.
+        The longest time between two transforms that is interpolated is max_gap seconds. With `hold`, the first and the
+        last also hold before and after: for parts that do not move. FormatError if the frames are not connected (the
+        text names both, and the trees that are known), or a transform on the chain is not finite or not a rotation.
         """
         chain = self._chain(target, source)
         if chain is None:

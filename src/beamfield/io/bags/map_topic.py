@@ -19,23 +19,11 @@ OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 def read_bag_map(path: str | Path, topic: str | None = None) -> OccupancyGrid:
     """Read the map of a bag: the last nav_msgs/OccupancyGrid of a topic.
 
-    Parameters
-    ----------
-    path
-        As for `read_bag`.
-    topic
-        The topic; if None the only one of that type, or ``/map`` if there are several.
+    If no topic is named, it is the only one of that type, or ``/map`` if there are several. The origin has the yaw of
+    the message's quaternion (four zeros, as ROS 1 leaves it, are no rotation).
 
-    Returns
-    -------
-    The grid; its origin has the yaw of the message's quaternion (four zeros, as ROS 1 leaves it, are no rotation).
-
-    Raises
-    ------
-    FormatError
-        If there is no such message, its size does not fit its data, or its values, resolution or origin are wrong.
-    InvalidInputError
-        If the topic is not there or holds something else.
+    FormatError if there is no such message, its size does not fit its data, or its values, resolution or origin are
+    wrong; InvalidInputError if the topic is not there or holds something else.
     """
     with BagFile(path) as bag:
         chosen = bag.only_topic("map topic", topic, OCCUPANCY_GRID, preferred="/map")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,8 +21,6 @@ ANGLE_TOLERANCE = 1e-6  # radians: what float32 angles keep
 if TYPE_CHECKING:
     from rosbags.interfaces import Qos
     from rosbags.typesys.store import Typestore
-
-Storage = Literal["mcap", "sqlite3"]
 
 
 @dataclass(frozen=True)
@@ -131,13 +129,7 @@ def even_bearings(finder: RangeFinder, topic: str) -> tuple[float, float]:
 
 
 def load_typestore() -> Typestore:
-    """Return the message definitions of the newest ROS 2.
-
-    Raises
-    ------
-    MissingDependencyError
-        If rosbags is not installed.
-    """
+    """Return the message definitions of the newest ROS 2; MissingDependencyError if rosbags is not installed."""
     try:
         import rosbags.rosbag2  # noqa: F401 - for `write_messages`
         from rosbags.typesys import Stores, get_typestore
@@ -151,35 +143,16 @@ def write_messages(
     messages: Sequence[Message],
     typestore: Typestore,
     *,
-    storage: Storage = "mcap",
     latched: Collection[str] = ("/tf_static",),
 ) -> None:
-    """Make a bag.
+    """Make a folder with a bag of messages, in the order of time, whose types the typestore knows.
 
-    Parameters
-    ----------
-    folder
-        To make; the file in it has its name.
-    messages
-        In the order of time.
-    typestore
-        That knows their types.
-    storage
-        "mcap" or "sqlite3".
-    latched
-        Topics whose last message late listeners get.
-
-    Raises
-    ------
-    InvalidInputError
-        If the storage is another.
+    The file in it, of the kind mcap, has its name. Late listeners get the last message of latched topics.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    plugins = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
-    require(storage in plugins, "storage", "'mcap' or 'sqlite3'", storage)
     connections: dict[str, Any] = {}
-    with Writer(folder, version=9, storage_plugin=plugins[storage]) as writer:
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for message in messages:
             msgtype = message.content.__msgtype__
             if message.topic not in connections:

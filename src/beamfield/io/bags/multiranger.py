@@ -45,13 +45,7 @@ class RawDataCollector:
     _rows: list[list[float]] = field(default_factory=list)
 
     def add(self, message: BagMessage) -> None:
-        """Add one message.
-
-        Raises
-        ------
-        FormatError
-            If it holds too few numbers, or one that is not finite.
-        """
+        """Add one message; FormatError if it holds too few numbers, or one that is not finite."""
         # Damaged messages may hold signalling NaNs, of which NumPy would warn.
         with np.errstate(invalid="ignore"):
             raw = np.asarray(message.content.raw, dtype=np.float64)[: self.width]
@@ -69,15 +63,10 @@ class RawDataCollector:
 
 
 def read_rangers(ranges: RawDataCollector, position: RawDataCollector | None) -> tuple[LaserScans, Track | None]:
-    """Return the scans of the four rangers, and the flow odometry if its topic is there.
+    """Return the scans of the four rangers, and the flow odometry if its topic is there; FormatError without messages.
 
     A message of ranges holds four ranges, the height, and the attitude as a quaternion x, y, z, w; one of positions
     begins with x, y. The heading comes from the first, the position is interpolated from the second.
-
-    Raises
-    ------
-    FormatError
-        If there are no messages.
     """
     notes: list[str] = []
     stamps, table = ranges.table(notes)

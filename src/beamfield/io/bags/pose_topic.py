@@ -66,16 +66,8 @@ class PoseTopicCollector:
     def track(self, notes: list[str]) -> Track:
         """Return the poses in the plane, sorted by time; where stamps are equal the last one counts.
 
-        Parameters
-        ----------
-        notes
-            Where to add a note.
-
-        Raises
-        ------
-        FormatError
-            If a pose is not finite, its quaternion is not of length 1, or the stamps go backwards; the topic and the
-            message's number are named.
+        FormatError names topic and message if a pose is not finite, its quaternion is not of length 1, or the stamps go
+        backwards.
         """
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 7)
         self._check(rows)
@@ -94,26 +86,14 @@ class PoseTopicCollector:
 
 def poses_at(track: Track, stamps: FloatArray,
              odometry_at: Callable[[FloatArray], FloatArray] | None = None) -> tuple[FloatArray, bool]:  # fmt: skip
-    """Return the poses of a track at other times, and whether odometry bridged its gaps.
+    """Return the poses (n, 3) of a track in the map at other times, and whether odometry bridged its gaps.
 
-    A localiser publishes a pose when it has updated, every few decimetres, and none while the robot stands. Between
-    two such poses the robot follows its odometry: what is interpolated is the correction, map_from_odom.
+    A localiser publishes a pose when it has updated, every few decimetres, and none while the robot stands. Between two
+    such poses the robot follows its odometry: what is interpolated is the correction, map_from_odom. Poses are NaN
+    before the first one, after the last one, and in gaps.
 
-    Parameters
-    ----------
-    track
-        Poses in the map.
-    stamps
-        (n,) seconds.
-    odometry_at
-        Returns the odometry's poses (n, 3) at given times, NaN where they are not known; None if there is none.
-
-    Returns
-    -------
-    poses
-        (n, 3); NaN before the first pose, after the last one, and in gaps.
-    bridged
-        Whether odometry was used.
+    `odometry_at` returns the odometry's poses (n, 3) at given times, NaN where they are not known; None if there is
+    none.
     """
     if odometry_at is not None and len(track) > 1 and float(np.median(np.diff(track.stamps))) > SPARSE:
         reference = odometry_at(track.stamps)

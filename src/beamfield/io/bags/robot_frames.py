@@ -72,21 +72,8 @@ class Odometry:
 def choose_base(content: BagContent, asked: str | None, mount_given: bool) -> str:
     """Return the robot's frame; "" if the bag has no frames and none was asked for.
 
-    Parameters
-    ----------
-    content
-        What the bag has.
-    asked
-        The frame that the user names.
-    mount_given
-        Whether the user gives the sensor's mount, so that no chain to its frame is needed.
-
-    Raises
-    ------
-    InvalidInputError
-        If the frame that was asked for is not there.
-    FormatError
-        If no frame that may be the robot's is connected to the sensors.
+    If the user gives the sensor's mount, no chain to its frame is needed. InvalidInputError if the frame that was asked
+    for is not there, FormatError if no frame that may be the robot's is connected to the sensors.
     """
     frames = content.frames
     if len(frames) == 0:
@@ -132,11 +119,7 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
     """Return the pose (k, 3) of every beam on the robot, from the chain of transforms in space.
 
     A sensor that hangs upside down so gets clockwise bearings. What is left of a tilt is projected to the plane.
-
-    Raises
-    ------
-    FormatError
-        If the frames do not connect, or the sensor is tilted by more than `MAX_TILT` or moves on the robot.
+    FormatError if the frames do not connect, or the sensor is tilted by more than `MAX_TILT` or moves on the robot.
     """
     k = len(scans.bearings)
     in_sensor = np.column_stack([np.zeros((k, 2)), scans.bearings])
@@ -246,25 +229,9 @@ def find_reference(content: BagContent, base: str, poses_topic: str | None, map_
                notes: list[str]) -> Callable[[FloatArray], FloatArray]:  # fmt: skip
     """Return what gives the reference poses (n, 3) at given times (n,); NaN where they are not known.
 
-    Parameters
-    ----------
-    content
-        What the bag has.
-    base
-        The robot's frame.
-    poses_topic, map_frame
-        What the user names; None to choose: /tf with a map, then a topic that `says_truth`.
-    odometry
-        To bridge the time between sparse poses.
-    notes
-        Where to say what was chosen.
-
-    Raises
-    ------
-    InvalidInputError
-        If the map's frame is not there.
-    FormatError
-        If the frames do not connect, or the poses are not poses.
+    The user names a topic or the map's frame; None to choose: /tf with a map, then a topic that `says_truth`. Odometry
+    bridges the time between sparse poses. InvalidInputError if the map's frame is not there, FormatError if the frames
+    do not connect, or the poses are not poses.
     """
     frames = content.frames
     if poses_topic is not None:

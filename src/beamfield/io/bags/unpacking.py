@@ -86,13 +86,7 @@ class Allowance:
         self._spent = 0
 
     def spend(self, unpacked: int) -> None:
-        """Count a chunk.
-
-        Raises
-        ------
-        FormatError
-            If it, or all so far, are more than is allowed.
-        """
+        """Count a chunk; FormatError if it, or all so far, are more than is allowed."""
         self._spent += unpacked
         if unpacked > self.chunk or self._spent > self._total:
             what, limit = ("one chunk of it", self.chunk) if unpacked > self.chunk else ("it", self._total)
@@ -104,21 +98,10 @@ class Allowance:
 
 
 def check_storage(path: Path, unpacked_from: Path | None = None) -> None:
-    """Check an .mcap or .db3 file before it is opened.
+    """Check an .mcap or .db3 file before it is opened, perhaps unpacked from one that the user knows; others may pass.
 
-    Parameters
-    ----------
-    path
-        The file; files of other formats are let through.
-    unpacked_from
-        The file that the user knows, if it is another one.
-
-    Raises
-    ------
-    FormatError
-        If chunks unpack to more than is allowed, or a database makes up its rows when they are asked for.
-    OSError, sqlite3.Error, struct.error
-        If it cannot be read, or is damaged.
+    FormatError if chunks unpack to more than is allowed, or a database makes up its rows when they are asked for;
+    OSError, sqlite3.Error or struct.error if it cannot be read, or is damaged.
     """
     with path.open("rb") as file:
         magic = file.read(16)
@@ -148,13 +131,7 @@ def _spend(chunks: Sequence[_Chunk], allowance: Allowance, size_of: Callable[...
 
 
 def unpack_file(path: Path, target: Path) -> None:
-    """Unpack a zstd file, as rosbag2 makes them of whole storage files.
-
-    Raises
-    ------
-    FormatError
-        If more comes out than is allowed.
-    """
+    """Unpack a zstd file, as rosbag2 makes them of whole storage files; FormatError if more comes out than allowed."""
     allowance = Allowance(path, path.stat().st_size)
     with _zstd().open(path, "rb") as packed, target.open("wb") as file:
         while block := packed.read(_BLOCK):
@@ -163,13 +140,7 @@ def unpack_file(path: Path, target: Path) -> None:
 
 
 def unpack_message(data: bytes, allowance: Allowance) -> bytes:
-    """Unpack a message of a bag whose messages are compressed one by one.
-
-    Raises
-    ------
-    FormatError
-        If more comes out than is allowed.
-    """
+    """Unpack a message of a bag that compresses each; FormatError if more comes out than is allowed."""
     unpacked = bytearray()
     with _zstd().open(BytesIO(data), "rb") as packed:
         while len(unpacked) <= allowance.chunk and (block := packed.read(_BLOCK)):

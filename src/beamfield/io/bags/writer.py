@@ -10,7 +10,7 @@ import numpy as np
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose, interpolate_poses, invert
-from beamfield.io.bags.messages import Message, MessageMaker, Storage, even_bearings, load_typestore, write_messages
+from beamfield.io.bags.messages import Message, MessageMaker, even_bearings, load_typestore, write_messages
 from beamfield.io.files.atomic import atomic_folder
 from beamfield.sensors import ScanLog, Track
 
@@ -25,11 +25,9 @@ def write_bag(
     *,
     topic: str = "/scan",
     odometry_topic: str = "/odom",
-    pose_topic: str | None = None,
     odom_frame: str = "odom",
-    storage: Storage = "mcap",
 ) -> None:
-    """Write scans, odometry and reference poses as a ROS 2 bag, whole or not at all.
+    """Write scans, odometry and reference poses as a ROS 2 bag (mcap), whole or not at all.
 
     The scans become sensor_msgs/LaserScan messages; the mount of each sensor a transform on /tf_static; the odometry
     nav_msgs/Odometry messages and transforms from `odom_frame` to base_link on /tf; the reference poses transforms
@@ -47,12 +45,8 @@ def write_bag(
         slash), else to `topic` with its number.
     odometry_topic
         Where the odometry goes.
-    pose_topic
-        Where the reference poses also go, as geometry_msgs/PoseWithCovarianceStamped; None for nowhere.
     odom_frame
         The frame of the odometry.
-    storage
-        "mcap" or "sqlite3".
 
     Raises
     ------
@@ -72,12 +66,12 @@ def write_bag(
     if not any(len(sensor) for sensor in log.sensors.values()):
         raise InvalidInputError(f"{log.source or 'log'}: expected scans to write, got none")
     types = load_typestore()
-    plan = _Plan(log, topic, odometry_topic, pose_topic, odom_frame, MessageMaker(types))
+    plan = _Plan(log, topic, odometry_topic, odom_frame, MessageMaker(types))
     messages = sorted(plan.messages(), key=lambda m: (m.nanoseconds, m.topic != "/tf_static"))
     with atomic_folder(path) as part:
         # The writer names its file after the folder that it makes.
         made = part / Path(path).name
-        write_messages(made, messages, types, storage=storage)
+        write_messages(made, messages, types)
         for file in list(made.iterdir()):
             file.rename(part / file.name)
         made.rmdir()
@@ -90,7 +84,6 @@ class _Plan:
     log: ScanLog
     topic: str
     odometry_topic: str
-    pose_topic: str | None
     odom_frame: str
     make: MessageMaker
 
@@ -141,11 +134,8 @@ class _Plan:
             stamps, poses = sensor.stamps[known], sensor.poses[known]
             parents = poses if odometry is None else _corrections(name, stamps, poses, odometry)
             child = BASE_FRAME if odometry is None else self.odom_frame
-            for stamp, pose, parent in zip(stamps, poses, parents, strict=True):
+            for stamp, parent in zip(stamps, parents, strict=True):
                 yield self.make.tf(MAP_FRAME, child, stamp, parent)
-                if self.pose_topic is not None:
-                    content = self.make.pose_with_covariance(stamp, MAP_FRAME, pose, None)
-                    yield self.make.at(stamp, self.pose_topic, content)
 
 
 def _odometry_samples(log: ScanLog) -> Track | None:

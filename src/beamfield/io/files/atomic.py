@@ -101,32 +101,19 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Raise now what `atomic_file` would raise after the work is done.
+    """Raise now what `atomic_file` would raise after the work is done; its folder and their parents need not exist.
 
-    Raises
-    ------
-    InvalidInputError
-        If `path` exists and is not a regular file.
-    OSError
-        If it is a folder, or nothing can be created where it is to be; its folder and their parents need not exist.
+    InvalidInputError if `path` exists and is not a regular file; OSError if it is a folder, or nothing can be created
+    where it is to be.
     """
     _require_access(_replaceable(Path(path)).parent, Path(path))
 
 
 def check_folder_writable(path: str | os.PathLike[str]) -> None:
-    """Raise now what `atomic_folder` would raise after the work is done.
+    """Raise now what `atomic_folder` would raise after the work is done; the folder and its parents need not exist.
 
-    Parameters
-    ----------
-    path
-        The folder that is to be written; it and its parents need not exist.
-
-    Raises
-    ------
-    NotADirectoryError
-        If it, or the nearest of its parents that exists, is not a folder.
-    OSError
-        If nothing can be created where it is to be.
+    NotADirectoryError if it, or the nearest of its parents that exists, is not a folder; OSError if nothing can be
+    created where it is to be.
     """
     _require_access(Path(os.path.realpath(path)), Path(path))
 
@@ -135,22 +122,9 @@ def check_folder_writable(path: str | os.PathLike[str]) -> None:
 def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Write a folder of files: all of them or none.
 
-    Parameters
-    ----------
-    path
-        The folder; missing parents are created. If it exists, the files written replace those of the same name and
-        everything else in it stays as it is.
-
-    Yields
-    ------
-    An empty folder to create files in; folders inside that are allowed.
-
-    Raises
-    ------
-    NotADirectoryError
-        If `path` exists and is not a folder.
-    OSError
-        As the file system says, with `path` untouched.
+    What is yielded is an empty folder to create files and folders in. Missing parents of `path` are created. If it
+    exists, the files written replace those of the same name and everything else in it stays as it is.
+    NotADirectoryError if it is not a folder; OSError as the file system says, with `path` untouched.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_dir():
@@ -176,23 +150,9 @@ def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
 
 @contextmanager
 def scratch_folder(parent: Path, name: str) -> Iterator[Path]:
-    """Make a folder that only its owner can open, for files that are needed for a while.
+    """Make a folder that only its owner can open, for files that are needed for a while; it is removed at the end.
 
-    Parameters
-    ----------
-    parent
-        Where.
-    name
-        Of what it is for. Folders that killed runs left under this name are removed.
-
-    Yields
-    ------
-    The folder, which is removed with its content at the end.
-
-    Raises
-    ------
-    OSError
-        As the file system says.
+    Folders that killed runs left under this name are removed.
     """
     start, end = f".{name[:50]}.", _scratch_suffix()
     remove_abandoned(parent, start)

@@ -27,18 +27,9 @@ ABSURD = 1e100
 def read_lines(path: str | Path) -> Iterator[tuple[int, str]]:
     """Yield the number, counted from 1, and the text of each line; nothing but the current line is kept in memory.
 
-    Parameters
-    ----------
-    path
-        A text file, or one compressed with gzip, whatever its name. The text is ASCII; other bytes pass as Latin-1.
-
-    Raises
-    ------
-    FormatError
-        If a line has a NUL byte (the file is binary) or more than `MAX_LINE_BYTES`; if the gzip stream is damaged or
-        ends early, or holds more than `FREE_BYTES` and more than `MAX_EXPANSION` times the size of the file.
-    OSError
-        As the file system says.
+    The file may be compressed with gzip, whatever its name. The text is ASCII; other bytes pass as Latin-1. FormatError
+    if a line has a NUL byte (the file is binary) or more than `MAX_LINE_BYTES`; if the gzip stream is damaged or ends
+    early, or holds more than `FREE_BYTES` and more than `MAX_EXPANSION` times the size of the file.
     """
     source = Path(path)
     with source.open("rb") as file:
@@ -61,23 +52,9 @@ def most_bytes(path: Path) -> int:
 
 
 def read_at_most(path: Path, max_bytes: int, what: str) -> bytes:
-    """Return the content of a file that is no larger than it may be.
+    """Return the content of a file that is no larger than it may be, or raise FormatError without reading more.
 
-    Parameters
-    ----------
-    path
-        The file.
-    max_bytes
-        Its largest size.
-    what
-        What kind of file it is, for the error: "a YAML file".
-
-    Raises
-    ------
-    FormatError
-        If it is larger; no more than `max_bytes` are read.
-    OSError
-        As the file system says.
+    `what` names its kind for the error: "a YAML file".
     """
     with path.open("rb") as file:
         content = file.read(max_bytes + 1)
@@ -136,10 +113,7 @@ class Line(NamedTuple):
     def numbers(self, start: int = 1, stop: int | None = None, field: str | None = None) -> FloatArray:
         """Return words [start, stop) as numbers; "nan" and "inf" are numbers.
 
-        Raises
-        ------
-        FormatError
-            If a word is not a number; it is quoted, after the message's name if no other `field` is given.
+        FormatError quotes a word that is none, after the message's name if no other `field` is given.
         """
         words = self.words[start:stop]
         try:
@@ -162,13 +136,7 @@ class Line(NamedTuple):
         return self._replace(words=[self.words[i] for i in indices])
 
     def count(self, index: int) -> int:
-        """Return a word as a count of readings.
-
-        Raises
-        ------
-        FormatError
-            If it is not a whole number >= 0, or the line ends before it.
-        """
+        """Return a word as a count of readings; FormatError if it is no whole number >= 0 or not there."""
         if index >= len(self.words):
             raise self.error(f"the line is truncated after {len(self.words)} words", self.words[0])
         word = self.words[index]

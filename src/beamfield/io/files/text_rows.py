@@ -27,31 +27,13 @@ def id_table(
     expected: str,
     check: Callable[[Line, FloatArray], None] = lambda _row, _numbers: None,
 ) -> tuple[list[str], NDArray[np.int64], FloatArray]:
-    """Read a table with a header, whose rows are an id and finite numbers.
+    """Read a table with a header, whose rows are an id and finite numbers: the header, ids (n,) and values (n, d).
 
-    Parameters
-    ----------
-    path
-        The file.
-    what
-        What a row is, for errors: "landmark".
-    is_header
-        Says whether the names of the columns, in lower case, are those of such a table.
-    expected
-        The headers that are, for errors.
-    check
-        Called with each row and its numbers; may raise.
+    `is_header` says whether the names of the columns, in lower case, are those of such a table; `check` may refuse a
+    row. For errors, `what` names a row ("landmark"), and `expected` the headers.
 
-    Returns
-    -------
-    names, ids, values
-        The header, (n,) and (n, d).
-
-    Raises
-    ------
-    FormatError
-        If the header is another, a row has another length, an id is not a whole number from 0 to 2^53 or appears twice,
-        a value is not a finite number, or there is no row; line and value are named.
+    FormatError names line and value if the header is another, a row has another length, an id is not a whole number
+    from 0 to 2^53 or appears twice, a value is not a finite number, or there is no row.
     """
     rows = word_lines(path, ",")
     header = next(rows, Line(path, 1, []))
@@ -82,13 +64,7 @@ def is_id(word: str) -> bool:
 
 
 def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write comma-separated values; an existing file is replaced. Numbers as `repr` writes them lose nothing.
-
-    Raises
-    ------
-    OSError
-        As the file system says; the old file is left as it was.
-    """
+    """Write comma-separated values, whole or not at all. Numbers as `repr` writes them lose nothing."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)

@@ -84,13 +84,7 @@ class YamlFile:
         return found
 
     def number(self, *place: str | int) -> float:
-        """Return the finite number at a place.
-
-        Raises
-        ------
-        FormatError
-            If it is missing, no number (true and false are none), or not finite.
-        """
+        """Return the finite number at a place; FormatError if it is missing or none (true and false are none)."""
         value = self.value(*place)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(f"expected a number, got {shorten(value)}", *place)
@@ -103,13 +97,7 @@ class YamlFile:
         return number
 
     def text(self, *place: str | int) -> str:
-        """Return the text at a place.
-
-        Raises
-        ------
-        FormatError
-            If it is missing, no text, or empty.
-        """
+        """Return the text at a place; FormatError if it is missing, no text, or empty."""
         value = self.value(*place)
         if not isinstance(value, str) or not value:
             raise self.error(f"expected text, got {shorten(value)}", *place)

@@ -27,14 +27,9 @@ def read_sightings(path: str | Path) -> DetectionLog:
     measured; an empty id is not known; the id -1 is of no landmark. Blank lines, and lines that begin with #, are left
     out.
 
-    Raises
-    ------
-    FormatError
-        If the header is another, a row has another length, a value is no finite number, a bearing is more than a full
-        turn (degrees), an id is no whole number >= 0 or -1, a row has neither range nor bearing, a stamp steps back, or
-        rows with one stamp have different poses.
-    OSError
-        As the file system says.
+    FormatError if the header is another, a row has another length, a value is no finite number, a bearing is more than
+    a full turn (degrees), an id is no whole number >= 0 or -1, a row has neither range nor bearing, a stamp steps back,
+    or rows with one stamp have different poses.
     """
     source = Path(path)
     rows = word_lines(source, ",")

@@ -86,11 +86,8 @@ class CarmenMessages:
 def read_carmen_messages(path: Path) -> CarmenMessages:
     """Read all messages of a log.
 
-    Raises
-    ------
-    FormatError
-        If a line is cut off, a count disagrees with its words, a word is no number, a pose is not finite, the number of
-        beams changes, or there are no scans; the line is named.
+    FormatError names the line if it is cut off, a count disagrees with its words, a word is no number, a pose is not
+    finite, the number of beams changes, or there are no scans.
     """
     content = CarmenMessages(path)
     for line in word_lines(path):
@@ -161,11 +158,8 @@ def parse_laser_message(line: Line) -> LaserMessage:
     ROBOTLASERn then has ``laser_x y theta robot_x y theta laser_tv laser_rv forward_safety side_safety turn_axis``;
     both end with the three words of time.
 
-    Raises
-    ------
-    FormatError
-        If the line is cut off, a count disagrees with its words, a word is no number, an angle is no angle, or a pose
-        is not finite; line and value are named.
+    FormatError names line and value if the line is cut off, a count disagrees with its words, a word is no number, an
+    angle is no angle, or a pose is not finite.
     """
     n = line.count(8)
     m = line.count(9 + n)

@@ -23,10 +23,8 @@ def read_g2o(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
     the reference pose, the laser's pose seen from the robot's is the mount. Edges and other vertices are not read.
     There is no odometry: the robot's pose of the message is that of the optimised graph in the graphs known to us.
 
-    Raises
-    ------
-    FormatError
-        If a line is cut off or has something else than numbers, a scan has no vertex, or the mount is not constant.
+    FormatError if a line is cut off or has something else than numbers, a scan has no vertex, or the mount is not
+    constant.
     """
     source = Path(path)
     scans = TextScans(source, "ROBOTLASER1")

@@ -55,34 +55,18 @@ def resolve_stamps(
     """Return stamps that do not decrease, from the first usable column of a file.
 
     A column is usable if its stamps are finite, at least half of them differ from the one before (public logs exist
-    whose stamps were rounded until they are all equal), and they run forwards. Single steps back, at most 1% of all
-    and none longer than 1 s, pass: clocks of two computers differ. There the scans stay in the order of the file and
-    the stamp that is too early is raised to the one before it. In the Intel log, where this occurs, the heading turns
+    whose stamps were rounded until they are all equal), and they run forwards. Single steps back, at most 1% of all and
+    none longer than 1 s, pass: clocks of two computers differ. There the scans stay in the order of the file and the
+    stamp that is too early is raised to the one before it. In the Intel log, where this occurs, the heading turns
     steadily in the order of the file and jumps back and forth in the order of the stamps.
 
-    If no column is usable because the stamps are lost, scans are numbered, one second apart. If they run backwards
-    otherwise, that is an error, because two runs may have been joined or a clock was set; so is a single one that is no
-    number.
+    If no column is usable because the stamps are lost, scans are numbered, one second apart; so they are by the rule
+    "order". If they run backwards otherwise, that is an error, because two runs may have been joined or a clock was
+    set; so is a single one that is no number.
 
-    Parameters
-    ----------
-    path, name
-        File and sensor, for errors and notes.
-    lines
-        The line of each scan.
-    columns
-        (t, c) stamps in seconds, in order of preference.
-    rule
-        "file", or "order" to number the scans, one second apart, whatever the file says.
-    repeated
-        (t,) scans that are the one before once more, stamps and readings: that their stamps are equal says nothing.
-
-    Raises
-    ------
-    FormatError
-        If the stamps go backwards, or one is no number; line and values are named.
-    InvalidInputError
-        If the rule is unknown.
+    Columns (t, c) are in seconds and in order of preference. Repeated scans (t,) are the one before once more, stamps
+    and readings: that their stamps are equal says nothing. Path, name and the line of each scan are for errors and
+    notes.
     """
     require(rule in ("file", "order"), "stamps", "'file' or 'order'", rule)
     table = np.asarray(columns, dtype=np.float64)

@@ -29,13 +29,8 @@ def read_sonar_log(folder: str | Path, options: TextOptions = DEFAULTS) -> ScanL
 
     Times in milliseconds, ranges and positions in millimetres, headings in tenths of a degree. The eight sonars look
     from the robot's centre to -90, -37.5, -22.5, -7.5, 7.5, 22.5, 37.5 and 90 degrees with cones of 20 degrees; their
-    value for "no echo" is found in the data. The sensor is called ``sonar``.
-
-    Raises
-    ------
-    FormatError
-        If a line has another number of words or something else than numbers, or the files' lines differ in number or
-        time.
+    value for "no echo" is found in the data. The sensor is called ``sonar``. FormatError if a line has another number
+    of words or something else than numbers, or the files' lines differ in number or time.
     """
     root = Path(folder)
     scans = TextScans(root / MEASUREMENTS, "sonar")

@@ -119,19 +119,9 @@ class TextScans:
         return FormatError(self.path, text, line=line, field=self.name)
 
     def constant_mount(self, mounts: FloatArray, tolerance: float) -> FloatArray:
-        """Return the sensor's pose on the robot, (3,): the median of what the scans say.
+        """Return the sensor's pose on the robot, (3,): the median of what the scans (t, 3) say.
 
-        Parameters
-        ----------
-        mounts
-            (t, 3) pose of the sensor seen from the robot, metres and radians.
-        tolerance
-            How far a scan's may be from the median, metres and radians.
-
-        Raises
-        ------
-        FormatError
-            If one is further away; line and poses are named.
+        FormatError names line and poses of a scan that is further from it than the tolerance, metres and radians.
         """
         mount = middle_mount(mounts)
         off = np.abs(between(mount, mounts)).max(axis=1)
@@ -166,25 +156,9 @@ class TextScans:
     ) -> tuple[SensorLog, list[str]]:
         """Return the log of the sensor and notes on it.
 
-        Parameters
-        ----------
-        mounts
-            (k, 3) beams in the robot's frame.
-        options
-            What the user said.
-        stamps
-            If they were resolved before.
-        poses, odometry
-            (t, 3) instead of those that were collected.
-        declared_max, declared_min
-            Limits that the file or the format declares, metres.
-        opening_angle
-            Full width of the cones, radians.
-
-        Raises
-        ------
-        FormatError
-            If no reading of the sensor is a number, or the stamps go backwards.
+        Stamps, poses and odometry (t, 3) stand for those that were collected; limits are those that the file or the
+        format declares. Mounts are (k, 3), the opening angle is the full width of the cones. FormatError if no reading
+        of the sensor is a number, or the stamps go backwards.
         """
         raw = np.stack(self.ranges)
         if np.isnan(raw).all():
@@ -237,19 +211,7 @@ def sorted_track(stamps: ArrayLike, poses: ArrayLike, name: str, notes: list[str
     """Return a track sorted by its stamps; None if they are lost, the scans have none, or there are no poses.
 
     Messages of several programs reach a log in any order, and every pose has its own stamp, so sorting changes no data.
-
-    Parameters
-    ----------
-    stamps
-        (t,) seconds.
-    poses
-        (t, 3) metres and radians.
-    name
-        Name of the message, for notes.
-    notes
-        Where to add a note.
-    numbered
-        Whether the scans are numbered, so that no time can be matched to them.
+    The name is for notes. If the scans are numbered, no time can be matched to them.
     """
     if not len(np.asarray(stamps)):
         return None

@@ -23,12 +23,8 @@ def read_wean_log(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
 
     ``O x y theta ts`` and ``L x y theta xl yl thetal r1 ... r180 ts``: the robot's and the laser's pose in the frame of
     the odometry, and 180 ranges counter-clockwise from -90 to +89 degrees; centimetres, radians, seconds. The laser's
-    mount is its pose seen from the robot. There is no reference pose.
-
-    Raises
-    ------
-    FormatError
-        If a line is neither, is cut off or has something else than numbers, or the mount is not constant.
+    mount is its pose seen from the robot. There is no reference pose. FormatError if a line is neither, is cut off or
+    has something else than numbers, or the mount is not constant.
     """
     source = Path(path)
     scans = TextScans(source, "L")

@@ -75,13 +75,7 @@ def read_ros_map(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
 
 
 def image_path(path: str | os.PathLike[str]) -> Path:
-    """Return the picture that a map_server YAML file names.
-
-    Raises
-    ------
-    FormatError
-        If the file names none, or it does not exist.
-    """
+    """Return the picture that a map_server YAML file names; FormatError if it names none, or it does not exist."""
     return _image_path(read_yaml(path))
 
 
@@ -112,11 +106,8 @@ def between_share(path: str | os.PathLike[str]) -> float:
     """Return the share of a map's pixels between its two thresholds, without those that stand for unknown.
 
     These are of the grey that map savers write for unknown, 205, of the one that `write_map` does, midway between the
-    thresholds, or of the only level that there is between them.
-
-    Returns
-    -------
-    0 for maps in "raw" mode, which have no thresholds. Trinary mode makes these pixels unknown.
+    thresholds, or of the only level that there is between them. 0 for maps in "raw" mode, which have no thresholds.
+    Trinary mode makes these pixels unknown.
     """
     yaml = read_yaml(path)
     rule = read_rule(yaml)

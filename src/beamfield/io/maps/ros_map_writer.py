@@ -65,25 +65,10 @@ def write_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | 
 
 
 def moved_map_text(path: str | os.PathLike[str], step: tuple[float, float], image: str) -> str:
-    """Return the text of a map_server YAML file for the same map with its origin moved.
+    """Return the text of a map_server YAML file for the same map with its origin moved by a step in x and y, metres.
 
-    Parameters
-    ----------
-    path
-        The YAML file.
-    step
-        Added to the origin's x and y, metres.
-    image
-        What the file is to call the picture: relative to where it will lie, or absolute.
-
-    Raises
-    ------
-    FormatError
-        If a key is missing or wrong, with its line.
-    InvalidInputError
-        If the picture's name is not printable.
-    OSError
-        As the file system says.
+    `image` is what it is to call the picture: relative to where it will lie, or absolute. FormatError names the line if
+    a key is missing or wrong; InvalidInputError if the picture's name is not printable.
     """
     yaml = read_yaml(path)
     rule, origin = read_rule(yaml), np.round(read_origin(yaml) + np.array([*step, 0.0]), 9)

@@ -49,18 +49,11 @@ def beam_model_text(
     intervals: Mapping[str, tuple[float, float]] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return the text of a beam_model.yaml.
+    """Return the text of a beam_model.yaml of this sensor.
 
-    Parameters
-    ----------
-    parameters
-        The parameters, written with six digits; the largest weight has more, so that the weights sum to 1.
-    finder
-        The sensor they belong to.
-    exponent, single_scan_exponent, n_beams
-        How much beams count, with n_beams of each scan; written if there are n_beams.
-    intervals, provenance
-        As for `beamfield.io.parameters.document.document_text`.
+    Parameters have six digits; the largest weight has more, so that the weights sum to 1. The exponents say how much
+    beams count, with n_beams of each scan, and are written if there are n_beams. The rest is as for
+    `beamfield.io.parameters.document.document_text`.
     """
     counting = {} if n_beams is None else counting_section(exponent, single_scan_exponent, n_beams)
     document: dict[str, Any] = {"beam_model": {**_rounded(parameters), **counting}, "sensor": sensor_section(finder)}

@@ -24,18 +24,10 @@ def document_text(
     intervals: Mapping[str, tuple[float, float]] | None,
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return the text of a file.
+    """Return the text of a file: a header of comments, and sections of plain values.
 
-    Parameters
-    ----------
-    header
-        Lines of comments.
-    document
-        The sections, of plain values; numbers are written so that reading returns the same bits.
-    intervals
-        95% interval per parameter, written with six digits; null where a bound is not finite: not determined.
-    provenance
-        Plain values that say where the parameters come from.
+    Numbers are written so that reading returns the same bits, 95% intervals with six digits; null where a bound is not
+    finite: not determined. The provenance says where the parameters come from, in plain values.
     """
     whole = dict(document)
     if intervals:
@@ -71,10 +63,7 @@ def named_numbers(
 ) -> dict[str, Any]:
     """Return the numbers of a section, or None where one is null, by name.
 
-    Raises
-    ------
-    FormatError
-        If the section or a parameter is missing, a parameter is unknown or no finite number; names the line.
+    FormatError names the line if the section or a parameter is missing, a parameter is unknown or no finite number.
     """
     if not isinstance(file.values, dict) or section not in file.values:
         raise file.error(f"the key {section!r} is missing; expected a {section}.yaml of beamfield")
@@ -113,17 +102,8 @@ def counting_section(exponent: float, single_scan_exponent: float | None, n_beam
 def read_counting(file: YamlFile, section: str, values: dict[str, Any]) -> dict[str, Any]:
     """Return what a section says of how much beams count, checked, as keyword arguments of a saved model.
 
-    Parameters
-    ----------
-    file, section
-        The file, and the key of the section.
-    values
-        From `named_numbers`; exponent, n_beams and single_scan_exponent are taken out.
-
-    Raises
-    ------
-    FormatError
-        If an exponent is not in (0, 1] or n_beams is not a whole number >= 1; names the line.
+    exponent, n_beams and single_scan_exponent are taken out of the values, which are from `named_numbers`. FormatError
+    names the line if an exponent is not in (0, 1] or n_beams is not a whole number >= 1.
     """
     counting = {name: values.pop(name) for name in COUNTING if name in values}
     for name, value in counting.items():

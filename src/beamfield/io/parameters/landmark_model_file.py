@@ -28,19 +28,9 @@ def landmark_model_text(
     intervals: Mapping[str, tuple[float, float]] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return the text of a landmark_model.yaml.
+    """Return the text of a landmark_model.yaml, so that reading returns the same bits; see `document.document_text`.
 
-    Parameters
-    ----------
-    parameters
-        The parameters, written so that reading returns the same bits.
-    intervals, provenance
-        As for `beamfield.io.parameters.document.document_text`.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is a signature covariance or a confusion matrix, for which the file has no place.
+    InvalidInputError if there is a signature covariance or a confusion matrix, for which the file has no place.
     """
     if parameters.signature_covariance is not None or parameters.confusion is not None:
         raise InvalidInputError("parameters: a signature covariance or confusion matrix cannot be written to this file")

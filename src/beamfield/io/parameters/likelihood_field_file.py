@@ -43,18 +43,10 @@ def likelihood_field_text(
     intervals: Mapping[str, tuple[float, float]] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return the text of a likelihood_field.yaml.
+    """Return the text of a likelihood_field.yaml of this sensor, with six digits.
 
-    Parameters
-    ----------
-    parameters, exponent, n_beams
-        The parameters, written with six digits.
-    finder
-        The sensor they belong to.
-    single_scan_exponent
-        The exponent for one scan on its own; None: the same.
-    intervals, provenance
-        As for `beamfield.io.parameters.document.document_text`.
+    The single-scan exponent is that for one scan on its own; None: the same. The rest is as for
+    `beamfield.io.parameters.document.document_text`.
     """
     rounded = {name: six_digits(getattr(parameters, name)) for name in PARAMETERS}
     if rounded["z_hit"] + rounded["z_rand"] > 1.0:
@@ -67,13 +59,7 @@ def likelihood_field_text(
 
 
 def is_likelihood_field(path: str | Path) -> bool:
-    """Return whether a YAML file has the parameters of a likelihood field.
-
-    Raises
-    ------
-    FormatError
-        If it is no YAML file.
-    """
+    """Return whether a YAML file has the parameters of a likelihood field; FormatError if it is no YAML file."""
     return "likelihood_field" in read_yaml(path).values
 
 

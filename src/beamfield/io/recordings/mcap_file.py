@@ -30,15 +30,8 @@ def write_mcap(path: str | Path, recording: Recording) -> None:
     nav_msgs/Path; `/particles` is a geometry_msgs/PoseArray, `/causes` a visualization_msgs/MarkerArray of the readings
     coloured by their cause, and each number a topic of std_msgs/Float64. Foxglove and RViz show them as they are.
 
-    Raises
-    ------
-    InvalidInputError
-        If the sensor cannot be a LaserScan (beams from several points, or uneven bearings), or a stamp is no ROS 2
-        time.
-    MissingDependencyError
-        If rosbags is not installed.
-    OSError
-        From the file system.
+    InvalidInputError if the sensor cannot be a LaserScan (beams from several points, or uneven bearings), or a stamp is
+    no ROS 2 time; MissingDependencyError if rosbags is not installed.
     """
     typestore = load_typestore()
     messages = sorted(_Messages(recording, MessageMaker(typestore)).all(), key=lambda message: message.nanoseconds)

@@ -32,14 +32,8 @@ def write_rerun(path: str | Path, recording: Recording) -> None:
     """Write a recording as an .rrd file, which ``rerun FILE`` opens, whole or not at all.
 
     The viewer opens with the map and what lies on it (`/map`, `/paths`, `/robot`, `/scan`, `/particles`) beside a curve
-    for each number. Time is that of the log, in seconds from its first scan.
-
-    Raises
-    ------
-    MissingDependencyError
-        If the Rerun SDK is not installed.
-    OSError
-        From the file system.
+    for each number. Time is that of the log, in seconds from its first scan. MissingDependencyError if the Rerun SDK is
+    not installed.
     """
     try:
         import rerun

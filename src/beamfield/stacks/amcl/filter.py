@@ -13,17 +13,7 @@ from beamfield.stacks.filters.amcl_filter import AmclFilter, AmclFilterParameter
 def amcl_filter(
     model: Any, motion: StackMotion, parameters: AmclFilterParameters, *, selective_resampling: bool = False
 ) -> AmclFilter:
-    """Return the filter that runs one of AMCL's models.
-
-    Parameters
-    ----------
-    model
-        `AmclField`, `AmclFieldProb` or `AmclBeam` on its map.
-    motion
-        The program's own.
-    parameters, selective_resampling
-        As for `AmclFilter`.
-    """
+    """Return the filter that runs one of AMCL's models on its map, with the program's own motion; see `AmclFilter`."""
     seen = amcl_grid(model.grid, model.map_mode)
     wraps = isinstance(motion.formula, DifferentialMotion)
     return AmclFilter(model, seen, motion, parameters, selective_resampling, wraps)

@@ -101,15 +101,7 @@ class AmclParameters(LaserParameters):
 
 
 def check_amcl(parameters: Any, names: Mapping[str, str]) -> None:
-    """Refuse values that AMCL cannot compute with.
-
-    Parameters
-    ----------
-    parameters
-        The dataclass, in its `__post_init__`.
-    names
-        What it calls a parameter of nav2's, where that differs.
-    """
+    """Refuse values that AMCL cannot compute with; `names` says what it calls nav2's parameters, where that differs."""
 
     def own(*of_nav2: str) -> tuple[str, ...]:
         return tuple(names.get(name, name) for name in of_nav2)

@@ -21,10 +21,7 @@ _STEPS = np.array([(SIDE, 0, 0), (-SIDE, 0, 0), (0, SIDE, 0), (0, -SIDE, 0), (0,
 def heaviest_cluster(poses: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the mean (3,) of the cluster whose particles weigh most; clusters of one particle do not count.
 
-    Parameters
-    ----------
-    poses, weights
-        (n, 3) and (n,); weights sum to 1.
+    Poses are (n, 3), weights (n,) sum to 1.
     """
     labels = cluster_labels(poses, weights)
     heavy = np.bincount(labels, weights)

@@ -15,21 +15,9 @@ Indices = NDArray[np.int64]
 def floor_step_beams(n_beams: int, max_beams: int, *, least_step: int) -> Indices:
     """Return every floor((n - 1) / (max_beams - 1))-th beam, from the first on (AMCL's beam and likelihood_field).
 
-    There may be nearly twice max_beams of them.
-
-    Parameters
-    ----------
-    n_beams
-        Number of beams in the scan, n.
-    max_beams
-        The stack's parameter.
-    least_step
-        The least step: 1 where the program sees to it, as likelihood_field does, 0 where it does not, as beam.
-
-    Raises
-    ------
-    InvalidInputError
-        If the step is 0: the program then stays at the first beam for ever.
+    There may be nearly twice max_beams of them. The least step is 1 where the program sees to it, as likelihood_field
+    does, 0 where it does not, as beam: InvalidInputError if the step is 0, where the program stays at the first beam
+    for ever.
     """
     step = max((n_beams - 1) // (max_beams - 1), least_step)
     if step < 1:

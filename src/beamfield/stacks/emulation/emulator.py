@@ -136,19 +136,10 @@ class StackModel(ABC, Generic[P, E]):
 
     @abstractmethod
     def evidence(self, z: Scan, poses: ArrayLike) -> E:
-        """Return what the weights of one scan at n poses depend on beside the free parameters.
+        """Return what the weights of one scan at poses (..., 3) depend on beside the free parameters.
 
-        Parameters
-        ----------
-        z
-            The scan, with all its beams; the stack's own selection applies.
-        poses
-            (..., 3) robot poses, metres and radians; n of them.
-
-        Raises
-        ------
-        InvalidInputError
-            If the poses are not finite, or the program itself would not return.
+        The stack's own selection of beams applies. InvalidInputError if the poses are not finite, or the program itself
+        would not return.
         """
 
     @abstractmethod
@@ -241,10 +232,7 @@ class FieldModel(StackModel[P, FieldEvidence], Generic[P]):
     def cell_terms(self, max_range: float) -> CellTerms:
         """Return what `beam_terms` has for an end point in each cell, with the model's own parameters.
 
-        Parameters
-        ----------
-        max_range
-            Of `scan_ends`: the range limit that the program divides by, metres.
+        max_range is that of `scan_ends`.
         """
         table = self._table
         distances = np.append(table.distance.ravel(), table.distance.dtype.type(np.inf))

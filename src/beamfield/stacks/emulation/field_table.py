@@ -100,25 +100,10 @@ class CellTerms(NamedTuple):
 def field_table(
     grid: OccupancyGrid, obstacles: BoolArray, distance: DistanceChoice, order: BrushfireOrder, max_distance: float
 ) -> FieldTable:
-    """Work out a stack's distance map.
+    """Work out a stack's distance map, from obstacles (rows, cols) in the map as the stack reads it.
 
-    Parameters
-    ----------
-    grid
-        The map as the stack reads it.
-    obstacles
-        (rows, cols) the cells to which distances are measured.
-    distance
-        "exact" measures to the nearest obstacle; "brushfire" does what the program does, with its errors.
-    order
-        The program's brushfire.
-    max_distance
-        Where the brushfire ends, metres. Exact distances are not cut off.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no such distance.
+    "exact" measures to the nearest obstacle; "brushfire" does what the program does, in its order and with its errors,
+    and ends at max_distance metres. Exact distances are not cut off. InvalidInputError if there is no such distance.
     """
     if distance not in ("exact", "brushfire"):
         raise InvalidInputError(f"distance: expected 'exact' or 'brushfire', got {distance!r}")

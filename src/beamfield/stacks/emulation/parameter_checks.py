@@ -19,19 +19,9 @@ def check_numbers(
     positive: tuple[str, ...] = (),
     finite: tuple[str, ...] = (),
 ) -> None:
-    """Convert the named fields of a frozen dataclass to floats; raise if one is not a valid number.
+    """Convert the named fields of a frozen dataclass, in its `__post_init__`, to floats; raise if one is not valid.
 
-    Parameters
-    ----------
-    parameters
-        The dataclass, in its `__post_init__`.
-    at_least_zero, positive, finite
-        Names of fields that must be finite numbers, in the first two cases of the sign named.
-
-    Raises
-    ------
-    InvalidInputError
-        If one is not.
+    All must be finite, in the first two groups of the sign named.
     """
     for name in (*at_least_zero, *positive, *finite):
         value = getattr(parameters, name)

@@ -37,22 +37,10 @@ BELUGA_LINE = Line(edge_stops=False, overshoot=0, ties_turn=False)
 def bresenham_ranges(
     grid: OccupancyGrid, poses: FloatArray, mounts: FloatArray, max_range: float, line: Line
 ) -> FloatArray:
-    """Return the ranges that Bresenham's line gives, between the centres of cells, to the first cell that is not free.
+    """Return the ranges (n, k) of Bresenham's line between centres of cells, to the first cell that is not free.
 
-    Parameters
-    ----------
-    grid
-        The map as the stack reads it.
-    poses, mounts
-        (n, 3) robot poses and (k, 3) mounts of the beams.
-    max_range
-        How far away the line's last cell is, metres. Ranges of that cell may be a little more.
-    line
-        How the program follows the line.
-
-    Returns
-    -------
-    (n, k) metres.
+    The map is as the stack reads it. The line's last cell is max_range metres away; ranges of that cell may be a little
+    more. Poses (n, 3) are the robot's, mounts (k, 3) the beams'.
     """
     ranges: FloatArray = np.empty((len(poses), len(mounts)))
     rows = np.require(poses, requirements=["C", "W"])
@@ -73,18 +61,10 @@ def bresenham_ranges(
 def exact_ranges(
     caster: RayCaster, seen: OccupancyGrid, poses: FloatArray, mounts: FloatArray, max_range: float, *, off_map: float
 ) -> FloatArray:
-    """Return exact expected ranges (n, k) in metres.
+    """Return exact expected ranges (n, k) in metres; the rest as for `bresenham_ranges`.
 
-    Parameters
-    ----------
-    caster
-        Casts the rays; its map may have a frame around `seen`.
-    seen
-        The map as the stack reads it.
-    poses, mounts, max_range
-        As for `bresenham_ranges`.
-    off_map
-        The range of rays that start off the map, as the program has it.
+    The caster's map may have a frame around `seen`, the map as the stack reads it. Rays that start off the map have the
+    range that the program gives them.
     """
     ranges = caster.expected_ranges(poses, RangeFinder(mounts, max_range))
     # Most lasers send all beams from one place, and to look it up for each beam takes as long as to cast the rays.

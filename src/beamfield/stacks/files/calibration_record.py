@@ -15,17 +15,7 @@ _RECORD = re.compile(rf"{_MARK} [^\n]*?checksum ([0-9a-f]{{16}})")
 
 
 def record_text(stack: str, model: str, parameters: Any, version: str, judged: str) -> str:
-    """Return the text of a record.
-
-    Parameters
-    ----------
-    stack, model, parameters
-        What was calibrated: all parameters of the stack's dataclass count.
-    version
-        Of beamfield.
-    judged
-        How well the values did, for the reader.
-    """
+    """Return the text of a record: of all the stack's parameters, and how well they did, for the reader."""
     checksum = values_checksum(stack, model, parameters)
     return f"{stack} {model}: {_MARK} {version}, {judged}; checksum {checksum} of the values"
 

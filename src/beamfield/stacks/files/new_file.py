@@ -13,24 +13,11 @@ from beamfield.stacks.syntax.parameter_text import Value, pair
 def new_file_text(
     stack: str, values: Mapping[str, Value], *, comments: Sequence[str] = (), launch: bool = False
 ) -> str:
-    """Return a parameter file.
+    """Return a parameter file with values by the stack's own names, below comments.
 
-    Parameters
-    ----------
-    stack
-        What stands above the parameters is its `Stack.layout`. f1tenth gets a flat file for ROS 1 (its names are the
-        same below ``particle_filter: ros__parameters:``).
-    values
-        By the stack's own names.
-    comments
-        Lines at the top.
-    launch
-        A launch file with amcl's node instead of YAML.
-
-    Raises
-    ------
-    InvalidInputError
-        If the stack is unknown, or has no launch files.
+    What stands above the parameters is the stack's `Stack.layout`. f1tenth gets a flat file for ROS 1 (its names are
+    the same below ``particle_filter: ros__parameters:``). `launch` makes a launch file with amcl's node instead of
+    YAML. InvalidInputError if the stack is unknown, or has no launch files.
     """
     described = stack_named(stack)
     comments = [printable(line) for line in comments]  # a name must not begin a line of its own

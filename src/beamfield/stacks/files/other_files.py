@@ -39,26 +39,12 @@ def expected_files() -> str:
 
 
 def is_beam_model(path: str | Path) -> bool:
-    """Whether a file is beamfield's own beam_model.yaml, by its top-level key.
-
-    Raises
-    ------
-    FormatError
-        If it ends in .yaml or .yml and is no YAML.
-    OSError
-        As the file system says.
-    """
+    """Whether a file is beamfield's own beam_model.yaml, by its top-level key; FormatError if a .yaml is no YAML."""
     return Path(path).suffix.lower() in _YAML and "beam_model" in read_yaml(path, number_keys=True).values
 
 
 def read_parameter_yaml(path: Path) -> YamlFile:
-    """Read a YAML file that should hold a stack's parameters.
-
-    Raises
-    ------
-    FormatError
-        If it is of a kind that holds none, with what it is; or if it is no YAML that `read_yaml` takes.
-    """
+    """Read a YAML file that should hold a stack's parameters; FormatError says what a file of another kind is."""
     if path.suffix.lower() == ".json":
         raise FormatError(path, f"this is JSON, in which beamfield writes results, not parameters; {expected_files()}")
     try:

@@ -188,20 +188,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
 
 
 def check_patch_target(file: StackFile) -> None:
-    """Raise if this stack's values do not belong in a file.
-
-    Parameters
-    ----------
-    file
-        From `read_stack_file`, with the stack whose values are to be written.
-
-    Raises
-    ------
-    FormatError
-        If it is another stack's file.
-    PermissionError
-        If it is read-only.
-    """
+    """Refuse a file that is another stack's than that whose values are to be written (FormatError), or read-only."""
     if file.possible and file.stack not in file.possible and not file.is_of_other_node:
         raise FormatError(
             file.section.path, f"expected a file of {file.stack}, this is one of {' or '.join(file.possible)}"

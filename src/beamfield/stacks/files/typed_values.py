@@ -58,14 +58,8 @@ def typed_values(file: StackFile) -> TypedValues:
 def typed_fields(file: StackFile, kind: type[Any], key: str = "") -> TypedValues:
     """Return parameters that a file asks for, and the values that cannot be used.
 
-    Parameters
-    ----------
-    file
-        From `read_stack_file`.
-    kind
-        The parameters' dataclass; its defaults hold where the file says nothing.
-    key
-        The one that names the measurement model, if that is among them.
+    The defaults of the parameters' dataclass hold where the file says nothing; the key names the measurement model, if
+    that is among them.
     """
     usable = file.defaults_of(kind)
     unusable: list[Unusable] = []
@@ -100,10 +94,7 @@ def checked_values(file: StackFile) -> Any:
 def checked_fields(file: StackFile, kind: type[Any]) -> Any:
     """Return other parameters of the stack that a file asks for: of its motion model, or of its filter.
 
-    Raises
-    ------
-    FormatError
-        If a value cannot be used; names the line.
+    FormatError names the line of a value that cannot be used.
     """
     return _checked(file, typed_fields(file, kind))
 

@@ -74,15 +74,7 @@ class AmclFilterParameters:
 
 
 def check_filter(parameters: Any, names: Mapping[str, str]) -> None:
-    """Refuse values that AMCL's filter cannot compute with.
-
-    Parameters
-    ----------
-    parameters
-        The dataclass, in its `__post_init__`.
-    names
-        What it calls a parameter of nav2's, where that differs.
-    """
+    """Refuse values that AMCL's filter cannot compute with; `names` says what it calls nav2's, where that differs."""
     check_particle_counts(parameters)
     pf_err, pf_z = (names.get(name, name) for name in ("pf_err", "pf_z"))
     rest = pf_z, "update_min_d", "update_min_a", "recovery_alpha_slow", "recovery_alpha_fast"
@@ -148,12 +140,7 @@ def as_wrapped_rotations(before: FloatArray, after: FloatArray, odometry: FloatA
     they are added up. Where a robot drives backwards the first is about a half turn, to one side for some particles and
     to the other for the rest: their headings end up a full turn apart, and the particles in bins that do not touch.
 
-    Parameters
-    ----------
-    before, after
-        (n, 3) the particles before and after the step; the first rotation follows from them.
-    odometry
-        (2, 3) of the step.
+    The first rotation follows from the particles before and after the step (n, 3); odometry is (2, 3).
     """
     wrapped = after.copy()
     wrap_rotations(before, wrapped, rotations_and_translation(odometry, SHORTEST_TRANSLATION)[0])

@@ -37,19 +37,7 @@ WatchCloud = Callable[[int, FloatArray, FloatArray], None]
 
 
 def run_loop(log: SensorLog, cloud: Cloud, scans: Iterable[int], watch: WatchCloud | None = None) -> Replay:
-    """Run a log through a filter.
-
-    Parameters
-    ----------
-    log
-        What the robot recorded.
-    cloud
-        The particles.
-    scans
-        Those that update the particles; all have odometry.
-    watch
-        Called after each update.
-    """
+    """Run a log through a filter: its particles are updated by these scans, which all have odometry."""
     recording = Recording(log)
     last: FloatArray | None = None
     for i in scans:
@@ -69,32 +57,16 @@ def run_loop(log: SensorLog, cloud: Cloud, scans: Iterable[int], watch: WatchClo
 
 
 def scans_with_odometry(log: SensorLog) -> list[int]:
-    """Return the scans by which a filter can move its particles.
-
-    Raises
-    ------
-    TooLittleDataError
-        If there are none.
-    """
+    """Return the scans by which a filter can move its particles; TooLittleDataError if there are none."""
     if not log.has_odometry:
         raise TooLittleDataError("log: no scan has an odometry pose, by which the filter moves its particles")
     return np.flatnonzero(np.isfinite(log.odometry).all(axis=1)).tolist()
 
 
 def scans_after_motion(log: SensorLog, has_moved: Callable[[FloatArray, FloatArray], bool]) -> list[int]:
-    """Return the first scan, and then each at which odometry has moved enough since the last one returned.
+    """Return the first scan with odometry, and then each at which it has moved enough since the last one returned.
 
-    Parameters
-    ----------
-    log
-        Scans without odometry are left out.
-    has_moved
-        Whether two odometry poses (3,), then and now, are far enough apart.
-
-    Raises
-    ------
-    TooLittleDataError
-        If no scan has odometry.
+    `has_moved` compares two odometry poses (3,), then and now. TooLittleDataError if no scan has odometry.
     """
     first, *others = scans_with_odometry(log)
     chosen = [first]
@@ -107,10 +79,7 @@ def scans_after_motion(log: SensorLog, has_moved: Callable[[FloatArray, FloatArr
 def scans_at_ticks(log: SensorLog, rate: float) -> list[int]:
     """Return the newest scan with odometry at every tick of a clock that starts with the first; the rate is per second.
 
-    Raises
-    ------
-    TooLittleDataError
-        If no scan has odometry.
+    TooLittleDataError if no scan has odometry.
     """
     scans = scans_with_odometry(log)
     stamps = log.stamps[scans]

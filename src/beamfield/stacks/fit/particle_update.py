@@ -44,23 +44,8 @@ def update_particles(
     """Weigh particles around the reference poses by one scan each.
 
     Particles start `START_ERROR` off in the mean (a normal distribution in x and y), with headings spread by
-    `START_TURN`.
-
-    Parameters
-    ----------
-    model
-        A stack's model with its parameters.
-    log
-        Scans with reference poses.
-    scans
-        Which of them.
-    n_particles
-        How many; their offsets are the same for all scans and all calls.
-
-    Raises
-    ------
-    InvalidInputError
-        If there are no scans or too few particles.
+    `START_TURN`; their offsets are the same for all scans and all calls. InvalidInputError if there are no scans or too
+    few particles.
     """
     if n_particles < 2 or len(scans) == 0:
         raise InvalidInputError(f"expected scans and at least 2 particles, got {len(scans)} and {n_particles}")

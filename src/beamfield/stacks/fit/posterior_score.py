@@ -14,22 +14,13 @@ from beamfield.stacks.fit.window_evidence import LANES, WindowEvidence
 def score_windows(
     model: StackModel[Any, Any], evidence: WindowEvidence, candidates: Sequence[Any], rivals: Rivals
 ) -> list[PosteriorScores]:
-    """Return how well parameters do on windows.
+    """Return how well parameters, one set after the other, do on windows.
 
     A filter knows where the robot is up to a prior, which is off the truth as far as its spread says, or that it may be
     anywhere. The posterior is that prior times the stack's weights. It is judged where the truth may be: around the
     reference.
 
-    Parameters
-    ----------
-    model
-        Makes weights from evidence.
-    evidence
-        From `gather_evidence`.
-    candidates
-        The stack's parameters, one set after the other.
-    rivals
-        As the windows were cut with.
+    The evidence is from `gather_evidence`; the rivals are those that the windows were cut with.
     """
     scores: list[PosteriorScores] = []
     for first in range(0, len(candidates), LANES):

@@ -26,22 +26,9 @@ def cut_segments(
     What leads in is not judged: it has no reference poses but for the first scan's, from which the filter starts. Where
     places look alike, particles from a wide start need long to gather, which would count for more than all tracking.
 
-    Parameters
-    ----------
-    log
-        With odometry and reference poses.
-    update_min_d, update_min_a
-        Motion between two updates, metres and radians. Where the filter takes every scan (0 for both), stretches are
-        as long as those of amcl.
-    most
-        Stretches at most, two or more.
-    longest
-        Updates of a stretch at most, and as many lead in: of a long log the rest is left out.
-
-    Raises
-    ------
-    TooLittleDataError
-        If there are not enough updates for three stretches.
+    Updates are update_min_d metres or update_min_a radians apart; where the filter takes every scan (0 for both),
+    stretches are as long as those of amcl. There are two to `most` stretches of at most `longest` updates, and as many
+    lead in: of a long log the rest is left out. TooLittleDataError if there are not enough updates for three stretches.
     """
     with_reference = np.where(np.isfinite(log.poses).all(axis=1, keepdims=True), log.odometry, np.nan)
     if update_min_d == update_min_a == 0.0:

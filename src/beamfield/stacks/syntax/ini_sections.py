@@ -19,20 +19,11 @@ _COMMENTS = ("//", ";", "#")
 
 
 def ini_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
-    """Return the sections with a known parameter, in the order of the file.
+    """Return the sections with at least one known parameter, in the order of the file.
 
-    Parameters
-    ----------
-    path
-        The file: ``[section]``, ``name = value``, comments behind ``//``, ``;`` or ``#``.
-    known
-        Names of parameters; one is enough.
-
-    Raises
-    ------
-    FormatError
-        If the file is too large or not UTF-8, or in a section that counts a name appears twice or a line is neither
-        section, pair, comment nor empty.
+    It holds ``[section]``, ``name = value``, and comments behind ``//``, ``;`` or ``#``. FormatError if it is too large
+    or not UTF-8, or in a section that counts a name appears twice or a line is neither section, pair, comment nor
+    empty.
     """
     text = decoded(path, read_at_most(path, MAX_BYTES, "an ini file")).removeprefix("\ufeff")
     sections = _parse(text)

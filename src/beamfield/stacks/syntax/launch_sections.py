@@ -27,20 +27,12 @@ _ATTRIBUTE = re.compile(r"""\s+([^\s=<>"']+)\s*=\s*("[^"]*"|'[^']*')""")
 def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     """Return one section per ``<node>`` with amcl's parameters.
 
-    Parameters
-    ----------
-    path
-        The file. ``$(arg z_hit)`` is filled in with its default if the file has one; a value that nobody knows before
-        the start is None. The text of ``<rosparam>`` counts like tags. Nodes and parameters whose ``if`` or ``unless``
-        takes them out by default are left out.
-    signs
-        By what a node is recognised. One with such a parameter counts whatever its type is called.
+    ``$(arg z_hit)`` is filled in with its default if the file has one; a value that nobody knows before the start is
+    None. The text of ``<rosparam>`` counts like tags. Nodes and parameters whose ``if`` or ``unless`` takes them out by
+    default are left out. A node with a parameter of the signs counts whatever its type is called.
 
-    Raises
-    ------
-    FormatError
-        If the file is too large, no UTF-8, no XML, or declares entities (which can expand without bound); if a node
-        has a parameter twice, text of ``<rosparam>`` that is not understood, or all its parameters in another file.
+    FormatError if the file is too large, no UTF-8, no XML, or declares entities (which can expand without bound); if a
+    node has a parameter twice, text of ``<rosparam>`` that is not understood, or all its parameters in another file.
     """
     content = read_at_most(path, MAX_BYTES, "a launch file").removeprefix(b"\xef\xbb\xbf")
     text = decoded(path, content)

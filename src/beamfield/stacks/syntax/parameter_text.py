@@ -116,12 +116,7 @@ class ParameterSection:
     def with_values(self, values: Mapping[str, Value]) -> str:
         """Return the file's text with these values; parameters that it lacks are added, all else stays as it is.
 
-        Raises
-        ------
-        InvalidInputError
-            If a text value cannot stand in the file.
-        FormatError
-            If the file has no place for a new parameter.
+        InvalidInputError if a text value cannot stand in the file, FormatError if it has no place for a new parameter.
         """
         edits: list[tuple[int, int, str]] = []
         added = ""

@@ -28,21 +28,10 @@ class WrittenValue(NamedTuple):
 
 
 def rosparam_values(path: Path, text: str, first_line: int) -> Iterator[WrittenValue]:
-    """Yield the parameters in a text of lines ``name: value``.
+    """Yield the parameters in a text of lines ``name: value``, which begins at a line of a launch file, counted from 1.
 
-    Parameters
-    ----------
-    path
-        The launch file.
-    text
-        As it stands in the file. Maps and lists inside are other parameters, and are passed over.
-    first_line
-        Where it begins, counted from 1.
-
-    Raises
-    ------
-    FormatError
-        If a line is no such pair, for example of a map in braces, or the text has comments or entities of XML.
+    Maps and lists inside are other parameters, and are passed over. FormatError if a line is no such pair, for example
+    of a map in braces, or the text has comments or entities of XML.
     """
     indent: str | None = None
     goes_on = False

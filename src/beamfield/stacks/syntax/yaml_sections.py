@@ -19,20 +19,11 @@ FOR_ALL: Place = ("/**", ROS_2_KEY)
 def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
     """Return the sections that hold parameters of a measurement model, in the order of the file.
 
-    A node's section holds those that the file gives to all nodes, too.
+    A node's section holds those that the file gives to all nodes, too. Nodes count whatever they are called before and
+    behind the signs. The file is read with `number_keys`.
 
-    Parameters
-    ----------
-    file
-        Read with `number_keys`.
-    signs
-        By what a section is recognised. Nodes count whatever they are called before and behind.
-
-    Raises
-    ------
-    FormatError
-        If a key without value is written in a way that is not found, or it depends on the release of ROS which of two
-        values a node gets.
+    FormatError if a key without value is written in a way that is not found, or it depends on the release of ROS which
+    of two values a node gets.
     """
     maps = [(place, values) for place, values in _maps(file.values, ()) if place or values]
     chosen = [item for item in maps if not signs.names.isdisjoint(_scalars(item[1]))]

@@ -57,13 +57,7 @@ def read_field(source: Formula, max_range: float | None, n_beams: int | None, no
 
 
 def needed_limit(source: Formula, max_range: float | None) -> float:
-    """Return what a model divides z_rand by, metres.
-
-    Raises
-    ------
-    InvalidInputError
-        If that is not known.
-    """
+    """Return what a model divides z_rand by, metres; InvalidInputError if that is not known."""
     limit = source.longest_range(max_range)
     if limit is None:
         raise InvalidInputError(
@@ -78,18 +72,8 @@ def field_values(
 ) -> dict[str, Value]:  # fmt: skip
     """Return a stack's parameters of a field, and add to the notes what is left out.
 
-    Parameters
-    ----------
-    stack, model
-        Whose.
-    source
-        The field.
-    max_range, n_beams
-        Of the sensor, if they are known.
-    notes
-        Get more.
-    keeps_scale
-        Whether heights stay as they are; otherwise z_hit and z_rand are scaled to a sum of 1.
+    max_range and n_beams are the sensor's, if they are known. Without `keeps_scale`, z_hit and z_rand are scaled to a
+    sum of 1.
     """
     # Some divide by the lesser of the two, whatever the file says.
     limit = source.max_range

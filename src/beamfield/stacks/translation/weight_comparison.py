@@ -105,17 +105,8 @@ def compare_fields(
 ) -> Comparison:
     """Compare the weights of two fields by the distances (n, k) from end points to obstacles, metres.
 
-    Parameters
-    ----------
-    one, other
-        The fields.
-    distances
-        From `sample_distances`.
-    limits
-        The ranges that they divide by, metres.
-    cell
-        Side of the map's cells, metres: some programs cut distances off at a whole number of them. None leaves
-        distances as they are.
+    Distances are from `sample_distances`; the limits are the ranges that the fields divide by. Some programs cut
+    distances off at a whole number of the map's cells; None leaves them as they are.
     """
     seen = distances if cell is None else between_cells(distances, cell)
     return compare(*(of.field_weights(seen, limit, cell) for of, limit in zip((one, other), limits, strict=True)))

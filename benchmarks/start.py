@@ -36,7 +36,7 @@ def main(runs: int) -> None:
     """Time every command and print a table."""
     print(f"Python {platform.python_version()}, {platform.machine()}; seconds, warm: least of {runs}\n")
     print(
-        "| command | cold, by the clock | cold, CPU | warm, CPU | aim, cold by the clock / warm |\n|---|---|---|---|---|"
+        "| command | cold, by the clock | cold, CPU | warm, CPU | aim, clock cold / CPU warm |\n|---|---|---|---|---|"
     )
     with tempfile.TemporaryDirectory() as folder:
         package = Path(__file__).resolve().parents[1] / "src/beamfield"

@@ -35,9 +35,7 @@ COMMANDS = (
 def main(runs: int) -> None:
     """Time every command and print a table."""
     print(f"Python {platform.python_version()}, {platform.machine()}; seconds, warm: least of {runs}\n")
-    print(
-        "| command | cold, by the clock | cold, CPU | warm, CPU | aim, clock cold / CPU warm |\n|---|---|---|---|---|"
-    )
+    print("| command | cold, by the clock | cold, CPU | warm, CPU | aim, cold / warm |\n|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         package = Path(__file__).resolve().parents[1] / "src/beamfield"
         subprocess.run([sys.executable, "-m", "compileall", "-q", package], check=True)

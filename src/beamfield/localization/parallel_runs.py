@@ -156,9 +156,10 @@ class _Helpers:
         if self._pool is not None:
             import multiprocessing
 
-            self._pool.shutdown(wait=False, cancel_futures=True)
             for child in set(multiprocessing.active_children()) - self._others:
                 child.terminate()
+            # Waits for the pool's own thread: the end of Python could meet it half closed, and print so.
+            self._pool.shutdown(cancel_futures=True)
 
 
 def _pickled(run: Callable[..., Any]) -> bytes | None:

@@ -32,6 +32,16 @@ def test_covariance_of_a_minimum_is_that_of_its_errors(rng):
     assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.92
 
 
+def test_a_minimum_lies_between_the_beams_and_not_beyond_the_edge_of_the_view(rng):
+    bearings = np.deg2rad(np.arange(0.0, 90.25, 0.5))
+    finder = RangeFinder.from_bearings(bearings, 10.0)
+    # A wall that is nearest 18 degrees outside of the view: noise makes some of the first readings the least.
+    ranges = 1.5 / np.cos(bearings[:61] + np.deg2rad(18.0))
+    scans = [Scan(np.append(ranges + rng.normal(0, 0.02, 61), np.full(120, np.nan)), finder) for _ in range(400)]
+    found = [minimum for scan in scans for minimum in find_local_minima(scan, RangeNoise(0.02))]
+    assert all(bearings[0] <= minimum.measurement[1] <= bearings[60] for minimum in found)
+
+
 def test_noise_on_a_circle_has_no_minima(rng):
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 720, endpoint=False), 10.0)
     found = [find_local_minima(Scan(3 + rng.normal(0, 0.02, 720), finder), RangeNoise(0.02)) for _ in range(20)]

@@ -65,6 +65,24 @@ def test_no_features_with_signatures_are_no_features():
     assert m.log_likelihood(Detections([], [], []), POSES).tolist() == [0.0] * len(POSES)
 
 
+@pytest.mark.parametrize("kind", ["number", "vector", "type"])
+def test_features_of_which_none_shows_a_signature_are_features_without_signatures(kind):
+    signatures = np.array([[0.0, 1.0], [1.0, 0.0]]) if kind == "vector" else np.array([0.0, 1.0])
+    landmarks = LandmarkMap([[2.0, 0.0], [0.0, 3.0]], signatures=signatures, kind=kind)
+    noise = LandmarkParameters(
+        0.1,
+        0.05,
+        sigma_signature=0.2 if kind == "number" else None,
+        signature_covariance=np.eye(2) if kind == "vector" else None,
+        confusion=np.eye(2) if kind == "type" else None,
+    )
+    model = LandmarkModel(landmarks, noise, correspondence="sum")
+    poses = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]
+    unseen = Detections([2.0, 3.0], [0.0, 1.5], np.full_like(signatures, np.nan))
+    plain = Detections([2.0, 3.0], [0.0, 1.5])
+    assert np.array_equal(model.log_likelihood(unseen, poses), model.log_likelihood(plain, poses))
+
+
 def test_a_bearing_just_across_pi_is_close_by():
     landmarks = LandmarkMap([[-2.0, 0.0]])
     z = Detections([2.0, 2.0], [np.pi - 0.01, -np.pi + 0.01], ids=[1, 1])

@@ -45,7 +45,8 @@ def find_local_minima(
     """Return the local minima of a scan, each from a parabola through the ranges around the least one.
 
     Where the parabola does not fit, the window is halved, at most twice. Sharp edges are no parabolas: their minimum is
-    found too, with a bias of about the sagitta in the window and a covariance that the bad fit has widened.
+    found too, with a bias of about the sagitta in the window and a covariance that the bad fit has widened. Straight
+    walls are none either: their curvature comes out a few percent too large, up to about one standard deviation.
 
     Parameters
     ----------
@@ -100,16 +101,14 @@ def widest_fit(
         window = places[np.abs(sweep.angles[places] - middle) <= width + 1e-9]
         if len(window) < FEWEST_POINTS:
             break
-        minimum = parabola(sweep, window, middle, noise, width)
+        minimum = parabola(sweep, window, middle, noise)
         if minimum is not None and minimum.chi_square < float(chdtri(len(window) - 3, BAD_FIT)):
             break
     return minimum
 
 
-def parabola(
-    sweep: Sweep, places: NDArray[np.int64], middle: float, noise: RangeNoise, half_width: float
-) -> LocalMinimum | None:
-    """Return the vertex of the parabola through the ranges, or None if there is no clear one in the window."""
+def parabola(sweep: Sweep, places: NDArray[np.int64], middle: float, noise: RangeNoise) -> LocalMinimum | None:
+    """Return the vertex of the parabola through the ranges, or None if there is no clear one between the beams."""
     x = sweep.angles[places] - middle
     z = sweep.ranges[places]
     sigma = noise.along(z)
@@ -119,7 +118,8 @@ def parabola(
     growth = max(1.0, chi_square / (len(places) - 3)) if len(places) > 3 else 1.0
     covariance = np.linalg.inv(design.T @ design) * growth
     _, slope, bend = coefficients
-    if bend <= CLEAR_CURVATURE * np.sqrt(covariance[2, 2]) or abs(slope) > 2.0 * bend * half_width:
+    # A vertex beyond the beams is extrapolated: where a view ends, walls only seem to come nearer behind its edge.
+    if bend <= CLEAR_CURVATURE * np.sqrt(covariance[2, 2]) or not x[0] <= -slope / (2.0 * bend) <= x[-1]:
         return None
     jacobian = np.array(
         [

@@ -46,8 +46,8 @@ def signature_log_density(
     not, or of another shape, or a type that `confusion` has not.
     """
     result: FloatArray = np.zeros((n, len(landmarks) + 1))
-    # Without features their signatures have no shape to speak of.
-    if signatures is None or n == 0:
+    # Without any measured signature there is no shape to speak of.
+    if signatures is None or np.isnan(signatures).all():
         return result
     if landmarks.signatures is None:
         raise InvalidInputError("signatures: the map's landmarks have none, the features do")

@@ -16,11 +16,12 @@ from beamfield.cli import demo
 from beamfield.cli.main import main as beamfield
 from beamfield.figures.gallery import chosen_figures, gallery_page, save_figure
 from beamfield.figures.world import simulated_world
-from beamfield.geometry import compose, transform_points
+from beamfield.geometry import compose, invert, transform_points
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.localization.replay import Replay, reference_start
+from beamfield.localization.trajectory import fit_trajectory
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -57,6 +58,7 @@ def main() -> None:
         world = Path(folder) / "with_poses"
         log, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
     save(cones_picture(simulated_world().grid), "cones")
+    save(lost_picture(log, grid), "lost")
     draw_scan_fit(calibrate(log, grid, CalibrationOptions(refine=False)), grid, log)
     draw_gallery()
 
@@ -90,6 +92,35 @@ def draw_scan_fit(result: Calibration, grid: OccupancyGrid, log: SensorLog) -> N
     draw_sides(axes["map"], model, drive.with_poses(believed), grid, int(np.flatnonzero(away)[60]))
     axes["map"].set_title("A scan at the wrong pose", fontsize=10, loc="left", fontweight="bold", pad=32)
     save(figure, "scan_fit")
+
+
+def lost_picture(log: SensorLog, grid: OccupancyGrid) -> Figure:
+    """Draw a drive whose filter is set to a wrong place after 30 s and found again after 70 s, as a fit shows it."""
+    seconds = log.stamps - log.stamps[0]
+    log = log[np.flatnonzero(seconds <= 100.0)]
+    seconds = seconds[: len(log)]
+    away = (seconds >= 30.0) & (seconds < 70.0)
+    set_wrongly = compose(log.poses[away][0] + np.array([0.8, -0.6, 0.25]), invert(log.poses[away][0]))
+    own = log.poses.copy()
+    own[away] = compose(set_wrongly, own[away])
+    fitted = fit_trajectory(log, grid).poses
+    off = np.hypot(*(own - fitted)[:, :2].T)
+    figure = new_figure(11, 4.2)
+    path, error = figure.subplots(1, 2, width_ratios=(1.1, 1))
+    seen = np.concatenate([own, fitted])[:, :2]
+    (x0, y0), (x1, y1) = seen.min(axis=0) - 1.5, seen.max(axis=0) + 1.5
+    draw_map(path, grid, (x0, x1, y0, y1))
+    path.plot(*fitted[:, :2].T, color=FIT, lw=1.5, label="fitted to the map")
+    path.plot(*own[:, :2].T, color=HELD_OUT, lw=1.2, ls="--", label="said by the robot's filter")
+    frame(path, (x0, x1, y0, y1), with_legend=False)
+    legend_above(path)
+    error.plot(seconds, off, color=HELD_OUT, lw=1.3, label="own poses beside the fitted ones")
+    error.axhline(0.5, color=QUIET, lw=0.9, ls="--", label="lost beyond 0.5 m")
+    error.set_xlim(0.0, seconds[-1])
+    error.set_ylim(0.0, None)
+    style(error, x="time [s]", y="distance [m]")
+    legend_above(error)
+    return figure
 
 
 def save(figure: Figure, name: str) -> None:

@@ -48,5 +48,5 @@ def short_stack_fit(monkeypatch: pytest.MonkeyPatch) -> None:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write pictures of likelihoods and of a robot's way empty, where only what is said about them is tested."""
     monkeypatch.setattr("beamfield.figures.likelihood_over_map.likelihood_figure", lambda *_, **__: None)
-    monkeypatch.setattr("beamfield.figures.localization.localization_figure", lambda *_: None)
+    monkeypatch.setattr("beamfield.figures.localization.localization_figure", lambda *_, **__: None)
     monkeypatch.setattr("beamfield.figures.gallery.save_figure", lambda _, path: path.touch())

@@ -317,7 +317,8 @@ def _write(
     with atomic_folder(arguments.out) as folder:
         write_tum(folder / TRAJECTORY, Track(log.stamps[known], found.poses[known]))
         write_particles(folder / PARTICLES, film.clouds(log.stamps))
-        save_figure(localization_figure(found, log, grid), folder / "localization.png")
+        sure_after = document["sure_after_s"] if document["start"] is None else 0.0
+        save_figure(localization_figure(found, log, grid, sure_after=sure_after), folder / "localization.png")
         text = json.dumps(document, indent=1, allow_nan=False)
         (folder / "localization.json").write_text(f"{text}\n", encoding="utf-8")
         names = sorted(path.name for path in folder.iterdir())

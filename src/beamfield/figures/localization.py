@@ -20,7 +20,7 @@ from beamfield.plot import draw_trajectory
 from beamfield.report.drawing import legend, new_figure, style
 from beamfield.sensors import SensorLog
 
-ESTIMATE, REFERENCE, BOUND = "#0072B2", "#D55E00", "#8A949E"
+ESTIMATE, REFERENCE, BOUND, GUESS = "#0072B2", "#D55E00", "#8A949E", "#CC79A7"
 # Of a chi-square variable with 2 degrees of freedom, and of a standard normal one.
 BOUND_2D, BOUND_1D = 5.991, 1.960
 MARGIN = 2.0
@@ -28,11 +28,16 @@ MARGIN = 2.0
 FRAMES_PER_SECOND, ANIMATED_BEAMS, COLOURS = 10, 180, 64
 
 
-def localization_figure(found: Replay, log: SensorLog, grid: OccupancyGrid) -> Figure:
-    """Draw where the filter was in the map, and over time how far off and how sure."""
+def localization_figure(
+    found: Replay, log: SensorLog, grid: OccupancyGrid, *, sure_after: float | None = 0.0
+) -> Figure:
+    """Draw where the filter was in the map, and over time how far off and how sure.
+
+    Poses until `sure_after`, seconds since the first scan, are drawn as guesses; all of them if it is None.
+    """
     figure = new_figure(12.0, 6.0)
     axes = figure.subplot_mosaic([["path", "position"], ["path", "heading"]], width_ratios=(1.15, 1.0))
-    _draw_path(found, log, grid, axes["path"])
+    _draw_path(found, log, grid, axes["path"], sure_after)
     _draw_errors(found, log, axes["position"], axes["heading"])
     return figure
 
@@ -77,11 +82,16 @@ def animation(frames: Sequence[tuple[int, FloatArray]], found: Replay, log: Sens
     return out.getvalue()
 
 
-def _draw_path(found: Replay, log: SensorLog, grid: OccupancyGrid, ax: Axes) -> None:
+def _draw_path(found: Replay, log: SensorLog, grid: OccupancyGrid, ax: Axes, sure_after: float | None) -> None:
     framed_map(grid, ax)
     if log.has_poses:
         draw_trajectory(log.poses, ax, label="reference", color=REFERENCE, ends=False)
-    draw_trajectory(found.poses, ax, label="estimate", color=ESTIMATE, ends=False)
+    sure = np.zeros(len(log), dtype=bool) if sure_after is None else log.stamps - log.stamps[0] >= sure_after
+    if not sure.all():
+        # Points: a guess jumps, and a line would say that the robot went there.
+        ax.plot(*found.poses[~sure, :2].T, ".", color=GUESS, markersize=3, label="guess, not sure yet", zorder=4)
+    if sure.any():
+        draw_trajectory(found.poses[sure], ax, label="estimate", color=ESTIMATE, ends=False)
     known = found.poses[np.isfinite(found.poses).all(axis=1)]
     _zoom(ax, np.concatenate([known, log.poses]), grid)
     low, high = ax.get_xlim()

@@ -27,6 +27,10 @@ def draw_fit(fit: TrajectoryFit, log: SensorLog, grid: OccupancyGrid, title: str
     points = _points(fit, log)
     seen = np.concatenate([points, fit.poses[:, :2]])
     low, high = np.quantile(seen, 0.002, axis=0) - MARGIN, np.quantile(seen, 0.998, axis=0) + MARGIN
+    if log.has_poses:
+        # A lost filter's poses are what one looks for; of another map's frame they would leave nothing to be seen.
+        own = log.poses[np.isfinite(log.poses).all(axis=1), :2].clip(grid.bounds[:2], grid.bounds[2:])
+        low, high = np.minimum(low, own.min(axis=0) - MARGIN), np.maximum(high, own.max(axis=0) + MARGIN)
     width, height = high - low
     size = 9.0 / max(width, height)
     figure = Figure(figsize=(max(6.0, width * size), max(3.5, height * size) + 3.4), layout="constrained")
@@ -48,9 +52,8 @@ def _points(fit: TrajectoryFit, log: SensorLog) -> FloatArray:
 
 
 def _draw_path(fit: TrajectoryFit, points: FloatArray, ax: Axes) -> None:
-    ax.scatter(
-        points[:, 0], points[:, 1], s=0.5, color=SCANS, linewidths=0, rasterized=True, zorder=2, label="end points"
-    )
+    ax.scatter(points[:, 0], points[:, 1], s=0.5, color=SCANS, linewidths=0, rasterized=True, zorder=2)
+    ax.scatter([], [], s=12, color=SCANS, label="end points")  # in the legend a point would be too small to be seen
     x, y = fit.poses[:, 0], fit.poses[:, 1]
     ax.plot(np.where(fit.trusted, x, np.nan), y, color=PATH_COLOUR, lw=1.4, label="trusted", zorder=4)
     if not fit.trusted.all():

@@ -50,7 +50,7 @@ export class Comparison {
     const along = (this.curves[POSE] ?? []).filter((value) => value !== null);
     if (along.length) {
       const wins = along.filter((value) => value > 0).length;
-      parts.push(`Over ${along.length} scan${along.length > 1 ? "s" : ""} of the log: A better in ${Math.round(100 * wins / along.length)}%, by ${signed(mean(along), 2)} nats in the mean.`);
+      parts.push(`Over ${along.length} scan${along.length > 1 ? "s" : ""} of the log: A better in ${Math.round(100 * wins / along.length)}%; A − B is ${signed(mean(along), 2)} nats in the mean.`);
     }
     return parts.join("");
   }

@@ -1,7 +1,7 @@
 // The explorer: a log in its map, and what models say of a scan at a pose. `ask` sends a message and returns a promise
 // of the answer, so the same component runs on a page of its own and in a notebook.
 import { Comparison, POSE } from "./comparison.js";
-import { build } from "./elements.js";
+import { build, make } from "./elements.js";
 import { Latest } from "./latest.js";
 import { MapView } from "./map_view.js";
 import { Panels } from "./panels.js";
@@ -15,10 +15,13 @@ const MOST_DRAWN = 2000; // points of the robot's way
 const HEAT_MS = 100; // between two heat maps: the page and the scores need the processors, too
 
 export async function mount(root, ask, place = null) {
-  const page = build(root, place !== null);
   let start;
-  try { start = await ask({ name: "start" }); } catch (error) { page.trouble.textContent = error.message; return; }
-  await new Explorer(page, start, ask, place).begin();
+  try { start = await ask({ name: "start" }); } catch (error) {
+    root.replaceChildren(make("p", { className: "trouble", role: "alert", textContent: error.message }));
+    return;
+  }
+  // What can be seen works: nothing is waited for between the two.
+  await new Explorer(build(root, place !== null), start, ask, place).begin();
 }
 
 class Explorer {
@@ -45,14 +48,8 @@ class Explorer {
   }
 
   async begin() {
-    const { page } = this;
-    const colours = async () => {
-      this.colours = coloursOf(page.root);
-      this.picture = await recoloured(this.start.map.picture, this.colours);
-      for (const view of this.views) delete view.heat?.image;
-    };
-    await colours();
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", async () => { await colours(); this.redraw(); });
+    const { page } = this, painted = this.paint();
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.paint());
     this.listen();
     this.panels.begin();
     this.compare();
@@ -62,6 +59,15 @@ class Explorer {
     this.showTime();
     this.changed();
     this.scored();
+    await painted;
+  }
+
+  // In the colours of the page, which are others in the dark.
+  async paint() {
+    this.colours = coloursOf(this.page.root);
+    this.picture = await recoloured(this.start.map.picture, this.colours);
+    for (const view of this.views) delete view.heat?.image;
+    this.redraw();
   }
 
   poseNow() { return this.run?.poses[this.i] ?? this.start.poses[this.i]; }

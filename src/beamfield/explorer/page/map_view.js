@@ -123,7 +123,7 @@ export class MapView {
   }
 
   drawScale(context, colours) {
-    const { scale } = this.state.view, metres = [0.1, 0.5, 1, 2, 5, 10, 20, 50].find((m) => m * scale > 60) ?? 100;
+    const { scale } = this.state.view, metres = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50].find((m) => m * scale > 44) ?? 100;
     const right = this.width - 14, y = this.height - 14;
     context.strokeStyle = context.fillStyle = colours.ink; context.lineWidth = 2; context.font = "12px system-ui, sans-serif"; context.textAlign = "right";
     context.beginPath(); context.moveTo(right - metres * scale, y); context.lineTo(right, y); context.stroke();

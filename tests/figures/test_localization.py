@@ -1,0 +1,21 @@
+"""The picture of a localization."""
+
+import numpy as np
+import pytest
+
+from beamfield.figures.localization import localization_figure
+from beamfield.localization.replay import Replay
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import RangeFinder, SensorLog
+
+
+@pytest.mark.parametrize(("sure_after", "n_guesses"), [(0.0, 0), (2.0, 2), (None, 4)])
+def test_poses_from_before_the_filter_was_sure_are_points_beside_the_path(sure_after, n_guesses):
+    way = np.column_stack([[1.0, 8.0, 3.0, 4.0], np.full(4, 2.0), np.zeros(4)])
+    finder = RangeFinder.from_bearings([0.0], max_range=5.0)
+    log = SensorLog(finder, np.arange(4.0), np.ones((4, 1)), np.full((4, 3), np.nan), way)
+    found = Replay(way, np.arange(4), way, np.tile(np.eye(3), (4, 1, 1)), np.full(4, 100), np.empty(0))
+    path = localization_figure(found, log, OccupancyGrid(np.zeros((50, 100)), 0.1), sure_after=sure_after).axes[0]
+    drawn = {line.get_label(): line.get_xdata() for line in path.lines}
+    assert len(drawn.get("guess, not sure yet", ())) == n_guesses
+    np.testing.assert_array_equal(drawn.get("estimate", np.empty(0)), way[n_guesses:, 0])

@@ -58,6 +58,13 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     printed = capsys.readouterr().out
     assert "likelihood_field_prob, before" in printed
     assert "the old file is mine.yaml.bak" in printed
+    verdict, _, wrote, changed, then = printed.splitlines()[-5:]
+    assert verdict.startswith("Use the new values: replayed in nav2's own filter")
+    assert (wrote[:6], changed[:8]) == ("wrote ", "changed ")
+    assert then == (
+        f"next, on another drive: beamfield evaluate OTHER_LOG --map {world / 'map.yaml'} --params "
+        f"{tmp_path / 'mine.yaml.bak'} {mine} --filter-maps {world / 'map.yaml'} {tmp_path / 'out' / 'amcl_map.yaml'}"
+    )
     assert (tmp_path / "mine.yaml.bak").read_text() == MINE
     after = mine.read_text()
     assert "    # tuned on a Friday\n" in after
@@ -167,11 +174,12 @@ def test_a_file_that_was_patched_before_gets_no_second_backup_of_the_same(tmp_pa
         "stack", "", {}, PageSection("stack", "", ""), {}, values={"sigma_hit": 0.1}, record="as calibrated"
     )
     assert write_patch(read_stack_file(mine, stack="nav2"), part) == (
-        f"changed sigma_hit in {mine}; the old file is mine.yaml.bak"
+        f"changed sigma_hit in {mine}; the old file is mine.yaml.bak",
+        tmp_path / "mine.yaml.bak",
     )
     after = mine.read_text()
     again = write_patch(read_stack_file(mine, stack="nav2"), replace(part, values={}))
-    assert again == f"left {mine} as it was"
+    assert again == (f"left {mine} as it was", None)
     assert mine.read_text() == after
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml", "mine.yaml.bak"]
 

@@ -108,6 +108,15 @@ def test_without_transforms_the_sensor_sits_at_the_robots_origin_and_a_note_says
     assert any("no transforms" in note for note in log.notes)
 
 
+def test_a_bag_without_static_transforms_says_so_and_what_to_do(tmp_path):
+    bag = MiniBag().scan(1.0).tf("odom", "base_link", 1.0)
+    with pytest.raises(FormatError, match=r"frame 'laser' of /scan; .*no /tf_static was recorded; give mount \(with 0"):
+        read_bag(bag.write(tmp_path))
+    bag.tf("base_link", "imu", 1.0, static=True)
+    with pytest.raises(FormatError, match=r"'imu'\}; give mount \(with 0 0 0"):
+        read_bag(bag.write(tmp_path, "other"))
+
+
 def test_a_given_mount_replaces_the_one_that_the_bag_lacks(tmp_path):
     bag = MiniBag().tf("odom", "base_link", 1.0).tf("odom", "base_link", 2.0, (1.0, 0.0, 0.0)).scan(1.5)
     path = bag.write(tmp_path)

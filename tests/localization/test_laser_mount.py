@@ -51,7 +51,7 @@ def test_the_finding_says_where_the_laser_is(tour: SensorLog):
     assert found is not None
     assert found.text == (
         "Scans and odometry agree if the laser sits at (0.30 m, 0.10 m) on the robot, not at (0.00 m, 0.00 m), and is "
-        "turned by 14.9 degrees to the left of what its transform says."
+        "turned by 14.9 degrees to the left of what its mount says."
     )
 
 
@@ -101,6 +101,6 @@ def test_where_no_trajectory_is_found_the_error_names_the_mount(
     monkeypatch.setattr("beamfield.localization.trajectory.choose_course", not_found)
     with pytest.raises(
         TrajectoryNotFoundError,
-        match=r"no trajectory fits\..* turned by 90\.\d degrees to the right of what its transform",
+        match=r"no trajectory fits\..* turned by 90\.\d degrees to the right of what its mount",
     ):
         fit_trajectory(log, office, start=log.poses[0])

@@ -145,7 +145,7 @@ def _finding(log: SensorLog, motions: _Motions) -> Finding | None:
     said = [_place(log, ahead, aside, turned)] if is_moved or offset > max(KNOWN, doubt) else []
     if is_turned:
         side = "left" if turned > 0.0 else "right"
-        said.append(f"is turned by {abs(math.degrees(turned)):.1f} degrees to the {side} of what its transform says")
+        said.append(f"is turned by {abs(math.degrees(turned)):.1f} degrees to the {side} of what its mount says")
     return Finding(
         "laser-mount", "warning", f"Scans and odometry agree if the laser {', and '.join(said)}.",
         {"ahead_m": ahead, "left_m": aside, "turn_rad": turned},
@@ -162,6 +162,6 @@ def _turn_alike(motions: _Motions) -> bool:
 def _place(log: SensorLog, ahead: float, aside: float, turned: float) -> str:
     mounts = log.finder.mounts[:, :2]
     if np.ptp(mounts, axis=0).any():  # scans merged of several lasers
-        return f"sits {ahead:+.2f} m ahead and {aside:+.2f} m to the left of where its transform puts it"
+        return f"sits {ahead:+.2f} m ahead and {aside:+.2f} m to the left of where its mount puts it"
     x, y, _ = after_step((ahead, aside, turned), (float(mounts[0, 0]), float(mounts[0, 1]), 0.0))
     return f"sits at ({x:.2f} m, {y:.2f} m) on the robot, not at ({mounts[0, 0]:.2f} m, {mounts[0, 1]:.2f} m)"

@@ -114,6 +114,11 @@ class TransformBuffer:
         """Names of all frames, in the order of appearance."""
         return list(self._neighbours)
 
+    @property
+    def has_static(self) -> bool:
+        """Whether any transform holds at all times."""
+        return any(edge.static for edge in self._edges.values())
+
     def connected(self, target: str, source: str) -> bool:
         """Whether a chain of transforms leads from one frame to the other."""
         return self._chain(target, source) is not None

@@ -111,10 +111,12 @@ def _unconnected(content: BagContent, candidates: list[str], sensor_frames: list
     known = [] if best is None else reached[best]
     lost = [s for s in content.scans if strip_slash(s.frame) in sensor_frames and strip_slash(s.frame) not in known]
     sensors = ", ".join(f"{strip_slash(s.frame)!r} of {s.topic}" for s in lost)
+    why = "" if frames.has_static else "no /tf_static was recorded; "
     return FormatError(
         content.path,
         f"no chain of transforms connects {robot} and the sensor's frame {sensors}; the log has {frames.describe()}; "
-        "say base_frame, give mount, or choose other scans by sensor_topic",
+        f"{why}give mount (with 0 0 0, beamfield trajectory says where the laser sits), say base_frame, or choose "
+        "other scans by sensor_topic",
     )
 
 
@@ -147,7 +149,8 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
         raise FormatError(
             content.path,
             f"the sensor's frame {sensor!r} is tilted by {np.rad2deg(tilt):.1f} degrees against {base!r}; at most "
-            f"{np.rad2deg(MAX_TILT):.0f} are taken for a scan in the map's plane; choose other topics by sensor_topic",
+            f"{np.rad2deg(MAX_TILT):.0f} are taken for a scan in the map's plane; choose other topics by sensor_topic, "
+            "or give mount if the frame is wrong",
             field=scans.topic,
         )
     in_plane = np.column_stack([np.cos(scans.bearings), np.sin(scans.bearings), np.zeros(k)])

@@ -15,6 +15,7 @@ from beamfield.calibration.pose_windows import WindowOptions
 from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack, write_patch
 from beamfield.cli.main import main
 from beamfield.cli.report_part import StackPart
+from beamfield.finding import Finding
 from beamfield.io.read_map import read_map
 from beamfield.report.page_section import PageSection
 from beamfield.report.verdict import DOUBTS
@@ -293,6 +294,17 @@ def test_a_map_whose_yaw_the_program_ignores_gets_no_values():
     assert part.problem == (
         "no values for nav2: the map's origin has a yaw of 5.73 degrees, and nav2 takes only the origin's x and y: "
         "every pose is matched against a rotated map. Save the map with a yaw of 0 (rotate the picture)."
+    )
+    assert part.files == {}
+
+
+def test_where_the_lasers_mount_is_wrong_no_values_are_found_that_make_up_for_it():
+    upright = SimpleNamespace(origin=np.zeros(3))
+    job = SimpleNamespace(arguments=SimpleNamespace(stack="nav2"), patched=None)
+    found = Finding("laser-mount", "warning", "It sits elsewhere.", do="Correct its transform.")
+    part = fit_for_stack(job, None, upright, SimpleNamespace(findings=(found,)), {})
+    assert part.problem == (
+        "no values for nav2: correct the laser's mount first: It sits elsewhere. Correct its transform."
     )
     assert part.files == {}
 

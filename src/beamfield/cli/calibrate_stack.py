@@ -181,6 +181,9 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
                 f"{finding.text.partition(';')[0].lower()}; the robot's filter takes it as it is and gets lost, "
                 f"whatever the values. {finding.do}"
             )
+        if finding.name == "laser-mount":
+            # Values would make up for it, and be wrong once the mount is right.
+            raise TooLittleDataError(f"correct the laser's mount first: {finding.text} {finding.do}")
     models = tuple(stack.models) if arguments.model is None else (arguments.model,)
     if file is not None:
         is_flat = not stack.model(file.model).weight.is_product

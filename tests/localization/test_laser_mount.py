@@ -73,6 +73,7 @@ def test_aligned_scans_tell_a_mount_without_poses(tour: SensorLog):
     assert found is not None
     assert found.values["turn_rad"] == pytest.approx(-np.pi / 2, abs=0.02)
     assert mount_of_scans(tour) is None
+    assert mount_of_scans(mounted(tour, (0.3, 0.1, 10.0))) is None  # so little hides no trajectory
 
 
 def test_mirrored_scans_are_not_taken_for_a_turned_laser(tour: SensorLog):

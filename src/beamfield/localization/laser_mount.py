@@ -23,6 +23,8 @@ FEWEST, PARTS = 20, 10
 # From here on a mount is named: radians, metres, and seconds times the usual speed, as stamps that are late by so much
 # put the laser back by that; and standard errors.
 LEAST_TURN, LEAST_OFFSET, UNNAMED_DELAY, SIGMAS = math.radians(3.0), 0.1, 0.15, 4.0
+# Alignments are less exact, above all of scans that see little to the sides; a smaller error hides no trajectory.
+ALIGNED_TURN, ALIGNED_OFFSET = math.radians(15.0), 0.3
 # Beside a turn the position is named from here on, metres.
 KNOWN = 0.05
 # Share of the squared differences between scans and odometry that may be left, and of those in turning, where mirrored
@@ -62,11 +64,11 @@ def mount_of_fit(log: SensorLog, fitted: FloatArray) -> Finding | None:
     begin, end = _motions(log, WAY, np.inf)
     if len(begin) < FEWEST:
         return None
-    return _finding(log, _compared(log, begin, end, between(fitted[begin], fitted[end])))
+    return _finding(log, _compared(log, begin, end, between(fitted[begin], fitted[end])), LEAST_TURN, LEAST_OFFSET)
 
 
 def mount_of_scans(log: SensorLog) -> Finding | None:
-    """Do what `mount_of_fit` does without poses: neighbouring scans are aligned, 8 ms each."""
+    """Do what `mount_of_fit` does without poses, for large errors: neighbouring scans are aligned, 8 ms each."""
     begin, end = _motions(log, ALIGNED_WAY, LONGEST_STEP)
     chosen = np.unique(np.linspace(0, len(begin) - 1, min(MOST_PAIRS, len(begin))).round().astype(np.int64))
     begin, end = begin[chosen], end[chosen]
@@ -76,7 +78,7 @@ def mount_of_scans(log: SensorLog) -> Finding | None:
     good = np.isfinite(steps).all(axis=1)
     if good.sum() < FEWEST:
         return None
-    return _finding(log, _compared(log, begin[good], end[good], steps[good]))
+    return _finding(log, _compared(log, begin[good], end[good], steps[good]), ALIGNED_TURN, ALIGNED_OFFSET)
 
 
 def _motions(log: SensorLog, way: float, longest: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -130,7 +132,7 @@ def _solve(motions: _Motions) -> tuple[Pose, float]:
     return (ahead, aside, turned), left
 
 
-def _finding(log: SensorLog, motions: _Motions) -> Finding | None:
+def _finding(log: SensorLog, motions: _Motions, least_turn: float, least_offset: float) -> Finding | None:
     (ahead, aside, turned), left = _solve(motions)
     part = np.arange(len(motions.scans)) * PARTS // len(motions.scans)
     others = [_solve(_Motions(motions.odometry[part != k], motions.scans[part != k], 0.0))[0] for k in range(PARTS)]
@@ -138,8 +140,8 @@ def _finding(log: SensorLog, motions: _Motions) -> Finding | None:
     away[:, 2] = wrap_angle(away[:, 2])
     deviation = np.sqrt((PARTS - 1) * away.var(axis=0))
     offset, doubt = math.hypot(ahead, aside), SIGMAS * float(np.hypot(*deviation[:2]))
-    is_turned = abs(turned) > max(LEAST_TURN, SIGMAS * float(deviation[2]))
-    is_moved = offset > max(LEAST_OFFSET + UNNAMED_DELAY * motions.speed, doubt)
+    is_turned = abs(turned) > max(least_turn, SIGMAS * float(deviation[2]))
+    is_moved = offset > max(least_offset + UNNAMED_DELAY * motions.speed, doubt)
     if not (is_turned or is_moved) or left > LEFT or abs(turned) > REVERSED or not _turn_alike(motions):
         return None
     said = [_place(log, ahead, aside, turned)] if is_moved or offset > max(KNOWN, doubt) else []

@@ -78,6 +78,12 @@ class TestResult:
     def test_four_files_are_written(self, out: Path):
         assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
 
+    def test_the_verdict_is_printed_once_and_last_before_what_was_written(self, run: tuple[Path, str]):
+        verdict = json.loads((run[0] / "calibration.json").read_text())["verdict"]
+        assert run[1].count(verdict) == 1
+        assert run[1].splitlines()[-3:-1] == [verdict, ""]
+        assert run[1].splitlines()[-1].startswith("wrote ")
+
     def test_the_yaml_holds_the_same_parameters_as_the_json(self, out: Path):
         parameters = read_beam_model(out / "beam_model.yaml")
         document = json.loads((out / "calibration.json").read_text())
@@ -365,7 +371,7 @@ def test_each_of_several_sensors_has_a_folder_of_its_own():
 
 
 def test_sentences_are_broken_for_a_terminal_and_tables_are_not(monkeypatch):
-    monkeypatch.setattr("beamfield.cli.calibrate_sensor.calibration_summary", lambda *_, **__: "summary")
+    monkeypatch.setattr("beamfield.cli.calibrate_sensor.calibration_details", lambda *_, **__: "summary")
     monkeypatch.setenv("COLUMNS", "80")
     table = f"a  b\n-  {'-' * 99}\n1  {'x' * 99}"
     parts = [SimpleNamespace(table=f"{'word ' * 30}end.\n\n{table}")]

@@ -15,6 +15,7 @@ from beamfield.calibration.pose_windows import WindowOptions
 from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack, write_patch
 from beamfield.cli.main import main
 from beamfield.cli.report_part import StackPart
+from beamfield.finding import Finding
 from beamfield.io.read_map import read_map
 from beamfield.report.page_section import PageSection
 from beamfield.report.verdict import DOUBTS
@@ -58,6 +59,13 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     printed = capsys.readouterr().out
     assert "likelihood_field_prob, before" in printed
     assert "the old file is mine.yaml.bak" in printed
+    verdict, _, wrote, changed, then = printed.splitlines()[-5:]
+    assert verdict.startswith("Use the new values: replayed in nav2's own filter")
+    assert (wrote[:6], changed[:8]) == ("wrote ", "changed ")
+    assert then == (
+        f"next, on another drive: beamfield evaluate OTHER_LOG --map {world / 'map.yaml'} --params "
+        f"{tmp_path / 'mine.yaml.bak'} {mine} --filter-maps {world / 'map.yaml'} {tmp_path / 'out' / 'amcl_map.yaml'}"
+    )
     assert (tmp_path / "mine.yaml.bak").read_text() == MINE
     after = mine.read_text()
     assert "    # tuned on a Friday\n" in after
@@ -167,11 +175,12 @@ def test_a_file_that_was_patched_before_gets_no_second_backup_of_the_same(tmp_pa
         "stack", "", {}, PageSection("stack", "", ""), {}, values={"sigma_hit": 0.1}, record="as calibrated"
     )
     assert write_patch(read_stack_file(mine, stack="nav2"), part) == (
-        f"changed sigma_hit in {mine}; the old file is mine.yaml.bak"
+        f"changed sigma_hit in {mine}; the old file is mine.yaml.bak",
+        tmp_path / "mine.yaml.bak",
     )
     after = mine.read_text()
     again = write_patch(read_stack_file(mine, stack="nav2"), replace(part, values={}))
-    assert again == f"left {mine} as it was"
+    assert again == (f"left {mine} as it was", None)
     assert mine.read_text() == after
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml", "mine.yaml.bak"]
 
@@ -285,6 +294,17 @@ def test_a_map_whose_yaw_the_program_ignores_gets_no_values():
     assert part.problem == (
         "no values for nav2: the map's origin has a yaw of 5.73 degrees, and nav2 takes only the origin's x and y: "
         "every pose is matched against a rotated map. Save the map with a yaw of 0 (rotate the picture)."
+    )
+    assert part.files == {}
+
+
+def test_where_the_lasers_mount_is_wrong_no_values_are_found_that_make_up_for_it():
+    upright = SimpleNamespace(origin=np.zeros(3))
+    job = SimpleNamespace(arguments=SimpleNamespace(stack="nav2"), patched=None)
+    found = Finding("laser-mount", "warning", "It sits elsewhere.", do="Correct its transform.")
+    part = fit_for_stack(job, None, upright, SimpleNamespace(findings=(found,)), {})
+    assert part.problem == (
+        "no values for nav2: correct the laser's mount first: It sits elsewhere. Correct its transform."
     )
     assert part.files == {}
 

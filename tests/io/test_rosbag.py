@@ -108,6 +108,15 @@ def test_without_transforms_the_sensor_sits_at_the_robots_origin_and_a_note_says
     assert any("no transforms" in note for note in log.notes)
 
 
+def test_a_bag_without_static_transforms_says_so_and_what_to_do(tmp_path):
+    bag = MiniBag().scan(1.0).tf("odom", "base_link", 1.0)
+    with pytest.raises(FormatError, match=r"frame 'laser' of /scan; .*no /tf_static was recorded; give mount \(with 0"):
+        read_bag(bag.write(tmp_path))
+    bag.tf("base_link", "imu", 1.0, static=True)
+    with pytest.raises(FormatError, match=r"'imu'\}; give mount \(with 0 0 0"):
+        read_bag(bag.write(tmp_path, "other"))
+
+
 def test_a_given_mount_replaces_the_one_that_the_bag_lacks(tmp_path):
     bag = MiniBag().tf("odom", "base_link", 1.0).tf("odom", "base_link", 2.0, (1.0, 0.0, 0.0)).scan(1.5)
     path = bag.write(tmp_path)
@@ -252,6 +261,70 @@ def test_several_sensors_are_read_unless_one_is_chosen(tmp_path):
     assert list(read_bag(path).sensors) == ["/front", "/rear"]
     assert list(read_bag(path, sensor_topic="rear").sensors) == ["/rear"]
     assert list(read_bag(path, sensor_topic=["/rear", "/front"]).sensors) == ["/rear", "/front"]
+
+
+def add_robot(bag: MiniBag, name: str, speed: float, *, tf: str = "", frames: str = "", with_map: bool = False) -> None:
+    """Add a robot that drives along x, with its laser ahead by a tenth of the speed; its topics have its name."""
+    laser, base, odom = f"{frames}laser", f"{frames}base_link", f"{frames}odom"
+    n_before = len(bag.messages)
+    bag.tf(base, laser, 100.0, (0.1 * speed, 0.0, 0.3), static=True)
+    for time in np.arange(0.0, 3.05, 0.1):
+        bag.tf(odom, base, 100.0 + time, (speed * time, 0.0, 0.0))
+        if with_map:
+            bag.tf("map", odom, 100.0 + time, (7.0 * speed, 0.0, 0.0))
+    moved = [(f"{tf}{topic}", *rest) for topic, *rest in bag.messages[n_before:]]
+    bag.messages[n_before:] = moved
+    bag.topics = {topic: msgtype for topic, msgtype, *_ in bag.messages}
+    for time in (100.0, 101.0, 102.0, 103.0):
+        bag.scan(time, topic=f"/{name}/scan", frame=laser)
+        bag.odometry(time, (speed * (time - 100.0), 0.0), topic=f"/{name}/odom", frame=odom, child=base)
+        bag.pose(time, (50.0 + speed, 0.0), topic=f"/{name}/amcl_pose")
+
+
+@pytest.mark.parametrize(("name", "speed"), [("robot1", 1.0), ("robot2", 2.0)])
+@pytest.mark.parametrize("with_map", [True, False])
+def test_of_robots_whose_frames_have_prefixes_each_has_its_own_mount_odometry_and_poses(
+    name, speed, with_map, tmp_path
+):
+    bag = MiniBag()
+    for one, fast in (("robot1", 1.0), ("robot2", 2.0)):
+        add_robot(bag, one, fast, frames=f"{one}/", with_map=with_map)
+    sensor = read_bag(bag.write(tmp_path), sensor_topic=f"/{name}/scan").only_sensor()
+    assert np.allclose(sensor.finder.mounts[:, 0], 0.1 * speed)
+    assert np.allclose(sensor.odometry[:, 0], speed * np.arange(4.0))
+    assert np.allclose(sensor.poses[:, 0], speed * (7.0 + np.arange(4.0)) if with_map else 50.0 + speed)
+
+
+@pytest.mark.parametrize(("name", "speed"), [("robot1", 1.0), ("robot2", 2.0)])
+def test_of_robots_with_topics_of_transforms_of_their_own_each_has_its_own_frames(name, speed, tmp_path):
+    bag = MiniBag()
+    for one, fast in (("robot1", 1.0), ("robot2", 2.0)):
+        add_robot(bag, one, fast, tf=f"/{one}")
+    path = bag.write(tmp_path)
+    sensor = read_bag(path, sensor_topic=f"/{name}/scan").only_sensor()
+    assert np.allclose(sensor.finder.mounts[:, 0], 0.1 * speed)
+    assert np.allclose(sensor.odometry[:, 0], speed * np.arange(4.0))
+    assert np.allclose(sensor.poses[:, 0], 50.0 + speed)
+    with pytest.raises(InvalidInputError, match=r"of several robots.*choose one by sensor_topic: the bag has '/robot1"):
+        read_bag(path)
+
+
+def test_scans_of_several_robots_are_refused_with_what_to_do(tmp_path):
+    bag = MiniBag()
+    for one, fast in (("robot1", 1.0), ("robot2", 2.0)):
+        add_robot(bag, one, fast, frames=f"{one}/", with_map=True)
+    with pytest.raises(
+        FormatError, match=r"/robot2/scan: .* moves on 'robot1/base_link'.*choose scans by sensor_topic"
+    ):
+        read_bag(bag.write(tmp_path))
+
+
+def test_odometry_of_another_robot_is_not_taken_where_no_bag_has_transforms(tmp_path):
+    bag = MiniBag()
+    for one, x in (("robot1", 1.0), ("robot2", 2.0)):
+        bag.scan(100.0, topic=f"/{one}/scan").odometry(100.0, (x, 0.0), topic=f"/{one}/odom")
+    sensor = read_bag(bag.write(tmp_path), sensor_topic="/robot2/scan").only_sensor()
+    assert sensor.odometry[0, 0] == 2.0
 
 
 def test_header_stamps_count_not_the_times_of_recording(tmp_path):

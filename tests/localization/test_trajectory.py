@@ -163,6 +163,16 @@ def test_slips_are_named_and_do_not_move_the_trajectory(drive: SensorLog, office
     assert distances(fit, log).mean() < 0.04
 
 
+def test_where_odometry_is_missing_at_an_end_the_robot_moves_on_along_its_arc(drive: SensorLog):
+    stamps, turn = 0.1 * np.arange(60), 0.05 * np.arange(60)
+    arc = np.column_stack([2.0 * np.sin(turn), 2.0 * (1.0 - np.cos(turn)), turn])
+    log = replace(drive.select(np.arange(60)), stamps=stamps)
+    for missing in (slice(None, 15), slice(-15, None)):
+        odometry = arc.copy()
+        odometry[missing] = np.nan
+        np.testing.assert_allclose(prepare(log, odometry).steps, between(arc[:-1], arc[1:]), atol=1e-3)
+
+
 def test_a_reset_and_missing_odometry_are_bridged_and_said(drive: SensorLog, office: OccupancyGrid):
     log = drive.select(np.arange(100))
     odometry = log.odometry.copy()

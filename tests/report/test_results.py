@@ -62,7 +62,9 @@ class TestCalibration:
 
 class TestScanFits:
     def test_they_say_draw_and_write_themselves(self, fits, tmp_path):
-        assert fits.summary().startswith("100.0% of 6 scans fit at 5%")
+        lost, fit, *_ = fits.summary().splitlines()
+        assert lost == "lost probability above 0.5 for 2.0 s at the longest, from 0.0 to 2.0 s after the first scan"
+        assert fit.startswith("100.0% of 6 scans fit at 5%")
         figure = fits.plot()
         assert [axes.get_ylabel() for axes in figure.axes] == ["p-value [1]", "lost probability [1]"]
         # The worst scans of a log whose robot begins lost are at the lower left, where a legend would hide them.

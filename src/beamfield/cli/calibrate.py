@@ -20,11 +20,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
-from beamfield.cli.calibrate_stack import add_stack_options, read_stack_request, write_patch
+from beamfield.cli.calibrate_stack import add_stack_options, next_step, read_stack_request, write_patch
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, wants_recording, write_recordings
+from beamfield.cli.terminal import filled
 from beamfield.errors import InvalidInputError
 from beamfield.printable import printable
 
@@ -124,15 +125,21 @@ def run(arguments: argparse.Namespace) -> Outcome:
         maps = [arguments.out / folders[name] / MAP_NAME for name, one in results.items() if MAP_NAME not in one.files]
         notes += tuple(f"{path}: of an earlier run; these values do not go with it" for path in maps if path.exists())
     line = ", ".join([f"wrote {', '.join(first.files)} into {arguments.out}", *map(str, recorded)])
-    brief = "; ".join((result.stack or result).document["verdict"] for result in results.values())
+    verdicts = [(result.stack or result).document["verdict"] for result in results.values()]
+    brief = "; ".join(verdicts)
     if patched is not None and first.stack is not None:
-        changed = write_patch(patched, first.stack)
+        changed, backup = write_patch(patched, first.stack)
         line, brief = f"{line}\n{changed}", f"{brief.removesuffix('.')}; {changed}"
+        if backup is not None:
+            line += f"\n{next_step(arguments, backup, arguments.out / MAP_NAME if MAP_NAME in first.files else None)}"
     heads = {name: f"== {printable(name)}\n" if len(results) > 1 else "" for name in results}
+    # The answer comes last, where it is seen without scrolling.
+    tables = [f"{heads[name]}{result.table}" for name, result in results.items()]
+    answers = [f"{heads[name]}{filled(said)}" for name, said in zip(results, verdicts, strict=True)]
     problems = [problem for result in results.values() for problem in result.problems]
     return Outcome(
         line,
-        "\n\n".join(heads[name] + result.table for name, result in results.items()),
+        "\n\n".join([*tables, *answers]),
         {"sensors": {name: result.document for name, result in results.items()}},
         notes,
         [arguments.out, *recorded],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -18,13 +17,13 @@ from beamfield.cli.calibrate_odometry import learn_odometry
 from beamfield.cli.calibrate_stack import fit_for_stack, warn_if_too_short
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.report_part import ReportPart, StackPart
-from beamfield.cli.terminal import line_width
+from beamfield.cli.terminal import filled, line_width
 from beamfield.cli.wording import in_options
 from beamfield.errors import about_file
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.report.as_json import calibration_as_dict
-from beamfield.report.results import calibration_summary, calibration_text
+from beamfield.report.results import calibration_details, calibration_text
 from beamfield.report.verdict import doubts
 from beamfield.scan_fit.calibration_fit import fit_of_calibration
 from beamfield.sensors import SensorLog
@@ -169,10 +168,12 @@ class CalibrationJob:
 
 
 def _table(result: Calibration, parts: Sequence[ReportPart]) -> str:
-    """Return what is printed. Lines are broken for a terminal only: elsewhere, a line is a parameter or a warning."""
+    """Return what is printed before the verdict.
+
+    Lines are broken for a terminal only: elsewhere, a line is a parameter or a warning.
+    """
     width = line_width()
-    summary = calibration_summary(result, width=width, wording=in_options)
+    details = calibration_details(result, width=width, wording=in_options)
     paragraphs = [paragraph for part in parts for paragraph in part.table.split("\n\n")]
-    if width is not None:  # a table has several lines, a sentence has one
-        paragraphs = [text if "\n" in text else textwrap.fill(text, width) for text in paragraphs]
-    return "\n\n".join([summary, *paragraphs])
+    # A table has several lines, a sentence has one.
+    return "\n\n".join([details, *(text if "\n" in text else filled(text) for text in paragraphs)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -180,6 +181,9 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
                 f"{finding.text.partition(';')[0].lower()}; the robot's filter takes it as it is and gets lost, "
                 f"whatever the values. {finding.do}"
             )
+        if finding.name == "laser-mount":
+            # Values would make up for it, and be wrong once the mount is right.
+            raise TooLittleDataError(f"correct the laser's mount first: {finding.text} {finding.do}")
     models = tuple(stack.models) if arguments.model is None else (arguments.model,)
     if file is not None:
         is_flat = not stack.model(file.model).weight.is_product
@@ -223,19 +227,32 @@ def _window_options(job: CalibrationJob) -> WindowOptions:
     )  # fmt: skip
 
 
-def write_patch(file: StackFile, fitted: StackPart) -> str:
-    """Change the user's file, unless there is nothing new or no value may be used yet; return a line that says so."""
+def write_patch(file: StackFile, fitted: StackPart) -> tuple[str, Path | None]:
+    """Change the user's file, unless there is nothing new or no value may be used yet.
+
+    Returns
+    -------
+    A line that says what was done, and the backup; None if the file stays.
+    """
     from beamfield.stacks.files.parameter_file import write_values
 
     values = file.by_names_in_file(fitted.values or {})
     left = f"left {file.section.path} as it was"
     if fitted.doubt:
-        return "; what would have changed is in ".join([left, *fitted.files][:2])
+        return "; what would have changed is in ".join([left, *fitted.files][:2]), None
     if not values and fitted.record in file.section.text:
-        return left
+        return left, None
     backup = write_values(file.section, values, record=fitted.record)
     changed = f"changed {', '.join(values)} in" if values else "noted that its values were checked in"
-    return f"{changed} {file.section.path}; the old file is {backup.name}"
+    return f"{changed} {file.section.path}; the old file is {backup.name}", backup
+
+
+def next_step(arguments: argparse.Namespace, backup: Path, shifted_map: Path | None) -> str:
+    """Return the command that compares the changed file with the old one on another drive."""
+    words = ["--map", arguments.map, "--params", backup, arguments.patch]
+    words += ["--filter-maps", arguments.map, shifted_map] if shifted_map is not None else []
+    words += ["--section", arguments.section] if arguments.section is not None else []
+    return f"next, on another drive: beamfield evaluate OTHER_LOG {shlex.join(map(str, words))}"
 
 
 def _record(found: StackResult) -> str:

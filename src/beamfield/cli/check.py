@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
     from beamfield.models.sonar import model_of_sensor
     from beamfield.report.places_figure import places_as_dict
-    from beamfield.report.scan_fit_page import fit_as_dict, fit_table, lost_line
+    from beamfield.report.scan_fit_page import fit_as_dict, fit_table
     from beamfield.scan_fit.lost import LostRates
     from beamfield.scan_fit.scan_fit import judge_log
 
@@ -132,8 +132,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         numbers = {"p-value": fits.p_value, "probability of being lost": fits.lost}
         recorded = write_recordings(arguments, lambda: beam_recording(parameters, given.log, given.grid, numbers))
     table = fit_table(fits, worst)
-    text = f"{_basis(reference, given)}\n{table}" + ("" if places is None else f"\n\n{places.summary()}")
-    brief = f"{table.splitlines()[0]}; {lost_line(fits)}"
+    text = f"{table}\n\n{_basis(reference, given)}" + ("" if places is None else f"\n\n{places.summary()}")
+    brief = "; ".join(table.splitlines()[:2])
     line = ", ".join([f"wrote {', '.join(files)} into {arguments.out}", *map(str, recorded)])
     code = 3 if problem else 0
     return Outcome(line, text, document, given.notes, [arguments.out, *recorded], code, problem, brief)

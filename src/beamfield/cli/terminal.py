@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+import textwrap
 from typing import Any
 
 from beamfield.printable import printable
@@ -24,6 +25,12 @@ def say_json(document: Any) -> None:
 def line_width() -> int | None:
     """Return the characters in a line of the terminal; None where output is no terminal's: there no line is broken."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def filled(sentences: str) -> str:
+    """Return sentences broken into lines for a terminal; elsewhere they are one line."""
+    width = line_width()
+    return sentences if width is None else textwrap.fill(sentences, width)
 
 
 def complain(text: str) -> None:

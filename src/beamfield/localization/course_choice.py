@@ -147,7 +147,8 @@ def choose_course(
     for _, steps in (plain, reversed_):
         _refuse_mirrored(log, steps, search, limit)
     raise TrajectoryNotFoundError(
-        f"no trajectory through this map fits the log (another building, or wrong odometry?); {_named(first)}"
+        "no trajectory through this map fits the log (another building, a drive beyond the map, or wrong odometry?); "
+        f"{_named(first)}"
     )
 
 

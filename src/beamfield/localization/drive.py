@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.geometry import FloatArray, between, chained, interpolate_poses
+from beamfield.geometry import FloatArray, between, chained, compose, interpolate_poses
 from beamfield.maps.end_points import end_points
 from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog
@@ -15,6 +15,8 @@ from beamfield.sensors import SensorLog
 # Scans are held to the map after so much motion (metres, radians) or so many seconds at rest: what lies between them
 # sees the same walls with the same errors.
 SPACING, SPACING_TURN, SPACING_TIME = 0.1, 0.1, 2.0
+# Where odometry ends while the robot moves, it goes on as in the last SPEED_TIME for CONTINUED, seconds.
+SPEED_TIME, CONTINUED = 0.5, 2.0
 MOST_SCANS = 5000
 # End points of each.
 BEAMS = 60
@@ -67,7 +69,7 @@ def prepare(log: SensorLog, odometry: FloatArray) -> Drive:
     known = np.isfinite(odometry).all(axis=1)
     # Time goes on where a recorder drops scans; where it runs backwards, the order of the log counts.
     when = np.maximum.accumulate(log.stamps)
-    filled = interpolate_poses(when[known], odometry[known], np.clip(when, when[known][0], when[known][-1]))
+    filled = _continued(when[known], odometry[known], when)
     filled[known] = odometry[known]
     steps = between(filled[:-1], filled[1:])
     broken = odometry_jumps(steps, np.maximum(np.diff(log.stamps), 0.0))
@@ -75,6 +77,25 @@ def prepare(log: SensorLog, odometry: FloatArray) -> Drive:
     scans = _spread(steps, log.stamps)
     points, first = _points(log, scans)
     return Drive(log.stamps, steps, broken, scans, points, first, np.asarray(~known))
+
+
+def _continued(stamps: FloatArray, poses: FloatArray, when: FloatArray) -> FloatArray:
+    """Return poses (n, 3) at any times: between known ones, and beyond them as the robot moved there, for a while."""
+    first, last = stamps[0], stamps[-1]
+    filled = interpolate_poses(stamps, poses, np.clip(when, first, last))
+    for end, inwards in ((first, min(first + SPEED_TIME, last)), (last, max(last - SPEED_TIME, first))):
+        earlier, at_end = interpolate_poses(stamps, poses, [inwards, end])
+        seconds, step = abs(end - inwards), between(earlier, at_end)
+        beyond = when < first if end == first else when > last
+        if not beyond.any() or seconds == 0.0 or odometry_jumps(step[None, :], np.array([seconds]))[0]:
+            continue
+        share = np.minimum(np.abs(when[beyond] - end), CONTINUED) / seconds
+        # The chord of an arc has half its turn, and the sine of that is in its length.
+        half, none = 0.5 * step[2], np.zeros(len(share))
+        length = share * np.sinc(share * half / np.pi) / np.sinc(half / np.pi)
+        chords = compose(np.column_stack([none, none, (share - 1.0) * half]), np.outer(length, [*step[:2], 0.0]))
+        filled[beyond] = compose(at_end, np.column_stack([chords[:, :2], share * step[2]]))
+    return filled
 
 
 def with_points(drive: Drive, log: SensorLog) -> Drive:

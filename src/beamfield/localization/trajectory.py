@@ -14,6 +14,7 @@ from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray, as_pose, chained
 from beamfield.localization.course_choice import FoundCourse, StartHypothesis, choose_course
 from beamfield.localization.drive import Drive, prepare, with_points
+from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
 from beamfield.localization.scan_delay import scan_delay
 from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
@@ -189,9 +190,10 @@ def find_course(
     try:
         found = choose_course(log, grid, drive, walls_of(grid), initial, report)
     except TrajectoryNotFoundError as error:
-        if not log.has_odometry or (late := scan_delay(log)) is None:
+        wrong = (mount_of_scans(log) or scan_delay(log)) if log.has_odometry else None
+        if wrong is None:
             raise
-        raise TrajectoryNotFoundError(f"{error}. {late.text} {late.do}") from error
+        raise TrajectoryNotFoundError(f"{error}. {wrong.text} {wrong.do}") from error
     return found if log.has_odometry else found._replace(findings=(_no_odometry(), *found.findings))
 
 
@@ -219,9 +221,10 @@ def fit_course(
     of_wheels = () if log.has_odometry else ("wheel-slip", "odometry-scale")
     seen = [one for one in odometry_findings(drive, found.course, fitted) if one.name not in of_wheels]
     late = scan_delay(log, fitted.poses) if log.has_odometry else None
-    if late is not None:
-        # Scans with the wrong time look like slips.
-        seen = [late, *(one for one in seen if one.name != "wheel-slip")]
+    wrong = late or (mount_of_fit(log, fitted.poses) if log.has_odometry else None)
+    if wrong is not None:
+        # Scans from another time or place look like slips.
+        seen = [wrong, *(one for one in seen if one.name != "wheel-slip")]
     findings = [*found.findings, *seen, *more]
     if (outdated := find_outdated_map(log, grid, fitted.poses)) is not None:
         findings.append(outdated)

@@ -40,19 +40,24 @@ if TYPE_CHECKING:
     from beamfield.landmark_noise.learning import LandmarkLearningResult
 
 
-def calibration_summary(result: Calibration, *, width: int | None = None, wording: Callable[[str], str] = str) -> str:
-    """Return what a calibration found: the verdict, the data, parameters with intervals, held-out scores, warnings.
+def calibration_summary(result: Calibration) -> str:
+    """Return what a calibration found: the verdict, and the details."""
+    return f"{verdict(result)}\n\n{calibration_details(result)}"
+
+
+def calibration_details(result: Calibration, *, width: int | None = None, wording: Callable[[str], str] = str) -> str:
+    """Return the data, parameters with intervals, held-out scores, and warnings.
 
     Lines are `width` characters long, for a terminal; `wording` turns the names of arguments in a warning into those of
     the reader.
     """
-    said, used, readings, form = (
+    used, readings, form = (
         line if width is None else textwrap.fill(line, width)
-        for line in (verdict(result), result.selection.describe(), readings_line(result), form_line(result))
+        for line in (result.selection.describe(), readings_line(result), form_line(result))
     )
     data, scores = f"{used}\n{readings}", f"{score_table(result)}\n{form}"
     warnings = warning_lines(result.findings, width=width, wording=wording)
-    return "\n\n".join([said, data, parameter_table(result, width=width), scores, *warnings])
+    return "\n\n".join([data, parameter_table(result, width=width), scores, *warnings])
 
 
 def plot_calibration(result: Calibration) -> Figure:

@@ -30,12 +30,11 @@ def fit_table(fits: ScanFits, worst: NDArray[np.int64]) -> str:
     judged = int((~np.isnan(fits.p_value)).sum())
     share = fits.share_that_fits(LEVEL)
     fit_line = f"{share:.1%} of {judged} scans fit at {LEVEL:.0%}" if judged else "no scan could be judged"
-    lines = [f"{fit_line} (95% of good scans do)" if judged else fit_line]
+    lines = [lost_line(fits), f"{fit_line} (95% of good scans do)" if judged else fit_line]
     for number, name in enumerate(PROBLEMS):
         count = int((fits.problem == number).sum())
         if number and count:
             lines.append(f"{count} scan{'s' if count > 1 else ''}: {name}")
-    lines.append(lost_line(fits))
     if len(worst):
         lines += [
             "",
@@ -60,8 +59,10 @@ def lost_line(fits: ScanFits) -> str:
     if span is None:
         top = f", highest {fits.lost.max():.3f}" if len(fits) else ""
         return f"lost probability never above 0.5{top}"
+    first, last = (end - fits.stamps[0] for end in span)
     return (
-        f"lost probability above 0.5 for {span[1] - span[0]:.1f} s at the longest, from {span[0]:.3f} to {span[1]:.3f}"
+        f"lost probability above 0.5 for {last - first:.1f} s at the longest, from {first:.1f} to {last:.1f} s "
+        "after the first scan"
     )
 
 

@@ -39,10 +39,7 @@ def stack_tables(result: StackResult, *, width: int | None) -> str:
         aligned(_SCORE_HEADER, scores, right=(2, 3, 4, 5), width=width),
         f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
     ]
-    if result.replay is None:
-        parts.append(_not_replayed(result))
-    else:
-        parts += [replay_tables(result.replay, width=width), stack_verdict(result)]
+    parts.append(_not_replayed(result) if result.replay is None else replay_tables(result.replay, width=width))
     parts += [
         f"{'warning' if item.severity == 'warning' else 'note'} ({item.name}): {item.full_text}"
         for item in stack_findings(result)

@@ -136,6 +136,7 @@ FINDINGS = {
     "wrong-type of count": ({"max_beams": 59.5}, {}, {"max_beams": 59}, {}),
     "out-of-range": ({"sigma_hit": -0.1}, {}, {"sigma_hit": 0.1}, {}),
     "filled-in-at-start": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
+    "filled-in-at-start of YAML": ({"z_rand": "$(var z_rand)"}, {}, {"z_rand": 0.5}, {}),
     "motion-noise-wide": (alphas(0.9), {"log": DRIVE}, alphas(0.03), {"log": DRIVE}),
     "motion-noise-narrow": (alphas(0.001), {"log": DRIVE}, alphas(0.03), {"log": DRIVE}),
     "no-motion-noise": (alphas(0.0), {}, alphas(0.001), {}),

@@ -114,9 +114,19 @@ class TransformBuffer:
         """Names of all frames, in the order of appearance."""
         return list(self._neighbours)
 
+    @property
+    def has_static(self) -> bool:
+        """Whether any transform holds at all times."""
+        return any(edge.static for edge in self._edges.values())
+
     def connected(self, target: str, source: str) -> bool:
         """Whether a chain of transforms leads from one frame to the other."""
         return self._chain(target, source) is not None
+
+    def nearest_first(self, frame: str, others: Iterable[str]) -> list[str]:
+        """Return other frames by the number of transforms that lead to them, those not connected last."""
+        chains = {other: self._chain(frame, other) for other in others}
+        return sorted(chains, key=lambda other: len(chains[other] or self._neighbours))
 
     def describe(self) -> str:
         """Return the trees of frames in words, for messages."""

@@ -15,6 +15,7 @@ from beamfield.io.bags.frames import TransformBuffer
 from beamfield.io.bags.laser_scan import LaserScanCollector
 from beamfield.io.bags.map_topic import read_bag_map
 from beamfield.io.bags.multiranger import OPENING_ANGLE, RawDataCollector, ranger_topics, read_rangers
+from beamfield.io.bags.namespaces import transform_topics
 from beamfield.io.bags.pose_topic import ODOMETRY, POSE_TYPES, PoseTopicCollector
 from beamfield.io.bags.robot_frames import (
     BagContent,
@@ -55,15 +56,16 @@ def read_bag(
     path
         A ROS 1 ``.bag``, a ROS 2 folder, or a single ``.db3`` or ``.mcap`` file.
     sensor_topic
-        The topic, or topics, of scans; all sensor_msgs/LaserScan topics if None.
+        The topic, or topics, of scans; all sensor_msgs/LaserScan topics if None. Of several robots in one bag, those
+        of one: transforms, odometry and poses are then those of its namespace and of its frames.
     poses_topic
         The topic of the reference poses: Odometry, PoseStamped or PoseWithCovarianceStamped, in the map's frame. If
         None: /tf, if it has the map's frame; else a topic whose name says ground truth or amcl_pose.
     map_frame
         The map's frame in /tf; ``map`` if None. Not together with `poses_topic`.
     base_frame
-        The robot's frame; if None the first of ``base_link``, ``base_footprint``, and the odometry's child frames that
-        is connected to the sensors.
+        The robot's frame; if None the first of ``base_link``, ``base_footprint``, and the odometry's child frames on
+        which the sensors are fixed.
     mount
         (3,) pose of the sensor in the robot's frame, metres and radians, instead of the one that /tf says.
     no_return
@@ -84,7 +86,7 @@ def read_bag(
         on the robot, stamps run backwards, or a scan of a topic has no beam where the others have theirs: file, topic
         and message number are named.
     InvalidInputError
-        If a topic or frame that was asked for is not there.
+        If a topic or frame that was asked for is not there, or the scans are of several robots.
     MissingDependencyError
         If rosbags is not installed.
     FileNotFoundError
@@ -158,7 +160,7 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
     raw |= {p: RawDataCollector(bag.path, p, 2) for p in rangers.values() if p}
     pose_topics = {t: PoseTopicCollector(bag.path, t) for t in _pose_topics(bag, poses_topic)}
     frames = TransformBuffer(bag.path)
-    tf_topics = bag.of_type(*TF_TYPES)
+    tf_topics = transform_topics(bag.path, bag.of_type(*TF_TYPES), scan_topics)
     collectors: dict[str, LaserScanCollector | RawDataCollector | PoseTopicCollector]
     collectors = {**lasers, **raw, **pose_topics}
     for message in bag.messages([*collectors, *tf_topics]):

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, interpolate_poses
-from beamfield.io.bags.frames import TransformBuffer, rotate, strip_slash
+from beamfield.io.bags.frames import TransformBuffer, Transforms, rotate, strip_slash
 from beamfield.io.bags.laser_scan import LaserScans
+from beamfield.io.bags.namespaces import holds
 from beamfield.io.bags.pose_topic import MAX_GAP, PoseTopicCollector, in_base_frame, poses_at
 from beamfield.sensors import Track
 
@@ -88,11 +89,14 @@ def choose_base(content: BagContent, asked: str | None, mount_given: bool) -> st
             raise InvalidInputError(f"{content.path}: no frame {base!r}; the log has {frames.describe()}")
         return base
     children = [topic.child for topic in content.pose_topics.values() if topic.child]
-    named = [f for f in frames.frames if f.rsplit("/", 1)[-1] in BASE_FRAMES]
+    named = [f for f in frames.frames if _last_name(f) in BASE_FRAMES]
     candidates = [f for f in dict.fromkeys([*BASE_FRAMES, *children, *named]) if f in frames]
-    for candidate in candidates:
-        if all(frames.connected(candidate, s) for s in sensor_frames):
-            return candidate
+    connected = [c for c in candidates if all(frames.connected(c, s) for s in sensor_frames)]
+    if len(connected) > 1:
+        # A map connects robots with each other: a sensor is fixed to the frames of its own only.
+        return next((c for c in connected if _are_fixed(content, c)), connected[0])
+    if connected:
+        return connected[0]
     if not sensor_frames:
         return ""
     raise _unconnected(content, candidates, sensor_frames)
@@ -107,10 +111,12 @@ def _unconnected(content: BagContent, candidates: list[str], sensor_frames: list
     known = [] if best is None else reached[best]
     lost = [s for s in content.scans if strip_slash(s.frame) in sensor_frames and strip_slash(s.frame) not in known]
     sensors = ", ".join(f"{strip_slash(s.frame)!r} of {s.topic}" for s in lost)
+    why = "" if frames.has_static else "no /tf_static was recorded; "
     return FormatError(
         content.path,
         f"no chain of transforms connects {robot} and the sensor's frame {sensors}; the log has {frames.describe()}; "
-        "say base_frame, give mount, or choose other scans by sensor_topic",
+        f"{why}give mount (with 0 0 0, beamfield trajectory says where the laser sits), say base_frame, or choose "
+        "other scans by sensor_topic",
     )
 
 
@@ -136,14 +142,15 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
         return compose(np.zeros(3), in_sensor)
     found = content.frames.look_up(base, sensor, scans.stamps, hold=True)
     position, rotation = np.median(found.translation, axis=0), found.rotation[0]
-    _check_fixed(content, scans.topic, sensor, base, found.translation, found.rotation)
+    _check_fixed(content, scans.topic, sensor, base, found)
     up = rotate(rotation, np.array([0.0, 0.0, 1.0]))[2]
     tilt = float(np.arccos(np.clip(abs(up), 0.0, 1.0)))
     if tilt > MAX_TILT:
         raise FormatError(
             content.path,
             f"the sensor's frame {sensor!r} is tilted by {np.rad2deg(tilt):.1f} degrees against {base!r}; at most "
-            f"{np.rad2deg(MAX_TILT):.0f} are taken for a scan in the map's plane; choose other topics by sensor_topic",
+            f"{np.rad2deg(MAX_TILT):.0f} are taken for a scan in the map's plane; choose other topics by sensor_topic, "
+            "or give mount if the frame is wrong",
             field=scans.topic,
         )
     in_plane = np.column_stack([np.cos(scans.bearings), np.sin(scans.bearings), np.zeros(k)])
@@ -159,25 +166,41 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
     return np.column_stack([np.tile(position[:2], (k, 1)), heading])
 
 
-def _check_fixed(content: BagContent, topic: str, sensor: str, base: str, translation: FloatArray,
-                 rotation: FloatArray) -> None:  # fmt: skip
-    moved = float(np.max(np.linalg.norm(translation - np.median(translation, axis=0), axis=1)))
-    cosine = np.clip(np.abs(rotation @ rotation[0]), 0.0, 1.0)
-    turned = float(2.0 * np.arccos(cosine.min()))
-    if moved > MAX_MOTION[0] or turned > MAX_MOTION[1]:
+def _are_fixed(content: BagContent, base: str) -> bool:
+    """Return whether no sensor moves on this frame."""
+    with_frames = [s for s in content.scans if s.topic not in content.cones]
+    mounts = (content.frames.look_up(base, strip_slash(s.frame), s.stamps, hold=True) for s in with_frames)
+    return not any(_moves(*_motion(mount)) for mount in mounts)
+
+
+def _motion(mount: Transforms) -> tuple[float, float]:
+    """Return how far a mount wanders over the log, metres and radians."""
+    moved = float(np.max(np.linalg.norm(mount.translation - np.median(mount.translation, axis=0), axis=1)))
+    cosine = np.clip(np.abs(mount.rotation @ mount.rotation[0]), 0.0, 1.0)
+    return moved, float(2.0 * np.arccos(cosine.min()))
+
+
+def _moves(moved: float, turned: float) -> bool:
+    return moved > MAX_MOTION[0] or turned > MAX_MOTION[1]
+
+
+def _check_fixed(content: BagContent, topic: str, sensor: str, base: str, mount: Transforms) -> None:
+    moved, turned = _motion(mount)
+    if _moves(moved, turned):
+        several = "; of another robot? choose scans by sensor_topic" if len(content.scans) > 1 else ""
         raise FormatError(
             content.path,
             f"the sensor's frame {sensor!r} moves on {base!r} by {moved:.3g} m and {np.rad2deg(turned):.3g} degrees; "
-            "only sensors that are fixed to the robot are read",
+            f"only sensors that are fixed to the robot are read{several}",
             field=topic,
         )
 
 
 def find_odometry(content: BagContent, base: str, notes: list[str]) -> Odometry:
     """Find the odometry: in /tf, else in a topic; `notes` says where."""
-    topic = _odometry_topic(content)
+    topic = _odometry_topic(content, base)
     frames = content.frames
-    named = [f for f in frames.frames if f.rsplit("/", 1)[-1] == "odom"]
+    named = frames.nearest_first(base, [f for f in frames.frames if _last_name(f) == "odom"])
     for frame in dict.fromkeys([topic.frame if topic else "", "odom", *named]):
         stamps = frames.stamps_between(frame, base) if frame and frame != base else np.empty(0)
         if len(stamps):
@@ -203,12 +226,38 @@ def _from_track(track: Track) -> Odometry:
     return Odometry(lambda when: interpolate_poses(track.stamps, track.poses, when, max_gap=MAX_GAP), track)
 
 
-def _odometry_topic(content: BagContent) -> PoseTopicCollector | None:
-    """Return the topic of odometry: the one called so, else the first that is not called truth."""
-    topics = [t for t in content.pose_topics.values() if len(t) and t.is_odometry and not says_truth(t.topic)]
-    exact = [t for t in topics if t.topic.rsplit("/", 1)[-1] == "odom"]
+def _odometry_topic(content: BagContent, base: str) -> PoseTopicCollector | None:
+    """Return the robot's topic of odometry: the one called so, else the first that is not called truth."""
+    topics = [t for t in _own_pose_topics(content, base) if t.is_odometry and not says_truth(t.topic)]
+    exact = [t for t in topics if _last_name(t.topic) == "odom"]
     near = [t for t in topics if "odom" in t.topic.lower()]
     return next(iter(exact + near + topics), None)
+
+
+def _own_pose_topics(content: BagContent, base: str) -> list[PoseTopicCollector]:
+    """Return the topics that have poses, without those of other robots.
+
+    Of several with one name, that of the scans' namespace is the robot's own; so are those whose frame does not move on
+    it.
+    """
+    filled = [topic for topic in content.pose_topics.values() if len(topic)]
+    near = [t for t in filled if all(holds(t.topic, scans.topic) for scans in content.scans)]
+    names = {_last_name(topic.topic) for topic in near}
+    ours = [t for t in filled if t in near or _last_name(t.topic) not in names]
+    if len(ours) < 2:
+        return ours
+    return [t for t in ours if not _moves_on(content, t.child, base)] or ours
+
+
+def _last_name(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
+def _moves_on(content: BagContent, frame: str, base: str) -> bool:
+    """Return whether transforms say that a frame moves on the robot's."""
+    if frame == base or not content.frames.connected(base, frame):
+        return False
+    return _moves(*_motion(content.frames.look_up(base, frame, content.scans[0].stamps, hold=True)))
 
 
 def _child_from_base(content: BagContent, topic: PoseTopicCollector, base: str, notes: list[str]) -> FloatArray:
@@ -240,7 +289,8 @@ def find_reference(content: BagContent, base: str, poses_topic: str | None, map_
     if frame is not None:
         notes.append(f"reference poses: /tf from {frame!r} to {base!r}")
         return lambda when: frames.look_up(frame, base, when, max_gap=MAX_GAP).planar()
-    by_name = [t for name in TRUTH_NAMES for t in content.pose_topics.values() if name in t.topic.lower() and len(t)]
+    topics = _own_pose_topics(content, base)
+    by_name = [t for name in TRUTH_NAMES for t in topics if name in t.topic.lower()]
     if by_name:
         return _reference_topic(content, by_name[0], base, odometry, notes)
     notes.append("reference poses: none in this bag")
@@ -260,7 +310,8 @@ def _map_frame(content: BagContent, base: str, asked: str | None, notes: list[st
                 f"{frames.describe()}",
             )
         return frame
-    for frame in [f for f in frames.frames if f == "map"] + [f for f in frames.frames if f.endswith("/map")]:
+    named = [f for f in frames.frames if f.endswith("/map")]
+    for frame in [f for f in frames.frames if f == "map"] + frames.nearest_first(base, named):
         if frames.connected(frame, base):
             return frame
         notes.append(f"the frame {frame!r} is not connected to {base!r}; the log has {frames.describe()}")

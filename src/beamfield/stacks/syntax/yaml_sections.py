@@ -14,6 +14,8 @@ from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry, ParameterSe
 
 # ROS 2 gives the parameters here to every node.
 FOR_ALL: Place = ("/**", ROS_2_KEY)
+# With it a launch file's argument or variable begins, which launch puts in (ROS 2: allow_substs; ROS 1: subst_value).
+SUBSTITUTION = "$("
 
 
 def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
@@ -78,7 +80,10 @@ def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[st
         if start == stop:
             # The parser finds a missing value at the next key; it belongs behind this one's colon.
             start = stop = _behind_colon(file, line, name)
-        entries[name] = Entry(name, value if is_scalar else shorten(value), line, start, stop)
+        if isinstance(value, str) and SUBSTITUTION in value:
+            entries[name] = Entry(name, None, line, start, stop, filled_in=value)
+        else:
+            entries[name] = Entry(name, value if is_scalar else shorten(value), line, start, stop)
     label = ".".join(str(key) for key in place)
     at, before, after = _insertion(file, place, entries)
     return ParameterSection(file.path, "yaml", label, file.lines[place], file.source, entries, at, before, after)

@@ -1,0 +1,107 @@
+"""A laser elsewhere on the robot than its transform says is named, with where it is; right mounts are left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from beamfield.errors import TrajectoryNotFoundError
+from beamfield.geometry import compose, interpolate_poses, invert
+from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
+from beamfield.localization.trajectory import fit_trajectory
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.log import simulate_log
+from tests.conftest import TRUTH
+
+TRUE_MOUNT = np.array([0.3, 0.1, np.radians(15.0)])
+
+
+@pytest.fixture(scope="module")
+def tour(office: OccupancyGrid) -> SensorLog:
+    """A minute with eight scans per second, odometry that drifts, and the laser at `TRUE_MOUNT`."""
+    finder = RangeFinder.from_bearings(np.linspace(-2.2, 2.2, 121), 12.0, mount=TRUE_MOUNT, min_range=0.1)
+    return simulate_log(office, finder, TRUTH, duration=60.0, scan_rate=8.0, seed=5).only_sensor()
+
+
+def mounted(log: SensorLog, mount: tuple[float, float, float]) -> SensorLog:
+    """Return a log whose transform says another mount, metres and degrees; its poses are those that fit the scans."""
+    said = np.array([mount[0], mount[1], np.radians(mount[2])])
+    wrong = compose(TRUE_MOUNT, invert(said))
+    finder = replace(log.finder, mounts=compose(invert(wrong), log.finder.mounts))
+    return replace(log, finder=finder, poses=compose(log.poses, wrong))
+
+
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.3, 0.1, 105.0), (0.6, -0.3, 15.0), (0.3, 0.1, -130.0)])
+def test_a_wrong_mount_is_measured(tour: SensorLog, mount: tuple[float, float, float]):
+    log = mounted(tour, mount)
+    found = mount_of_fit(log, log.poses)
+    assert found is not None
+    wrong = compose(TRUE_MOUNT, invert([mount[0], mount[1], np.radians(mount[2])]))
+    assert [found.values[name] for name in ("ahead_m", "left_m")] == pytest.approx(wrong[:2], abs=0.02)
+    assert found.values["turn_rad"] == pytest.approx(wrong[2], abs=0.01)
+
+
+def test_the_finding_says_where_the_laser_is(tour: SensorLog):
+    log = mounted(tour, (0.0, 0.0, 0.0))
+    found = mount_of_fit(log, log.poses)
+    assert found is not None
+    assert found.text == (
+        "Scans and odometry agree if the laser sits at (0.30 m, 0.10 m) on the robot, not at (0.00 m, 0.00 m), and is "
+        "turned by 14.9 degrees to the left of what its mount says."
+    )
+
+
+@pytest.mark.parametrize("mount", [(0.3, 0.1, 15.0), (0.32, 0.08, 13.0), (0.3, 0.1, -165.0)])
+def test_a_right_mount_a_small_error_and_one_like_reversed_odometry_are_not_named(
+    tour: SensorLog, mount: tuple[float, float, float]
+):
+    log = mounted(tour, mount)
+    assert mount_of_fit(log, log.poses) is None
+
+
+def test_a_scanner_stamped_late_is_not_taken_for_one_mounted_elsewhere(tour: SensorLog):
+    odometry = interpolate_poses(tour.stamps, tour.odometry, (tour.stamps + 0.15).clip(max=tour.stamps[-1]))
+    assert mount_of_fit(replace(tour, odometry=odometry), tour.poses) is None
+
+
+def test_aligned_scans_tell_a_mount_without_poses(tour: SensorLog):
+    found = mount_of_scans(mounted(tour, (0.3, 0.1, 105.0)))
+    assert found is not None
+    assert found.values["turn_rad"] == pytest.approx(-np.pi / 2, abs=0.02)
+    assert mount_of_scans(tour) is None
+    assert mount_of_scans(mounted(tour, (0.3, 0.1, 10.0))) is None  # so little hides no trajectory
+
+
+def test_mirrored_scans_are_not_taken_for_a_turned_laser(tour: SensorLog):
+    mirrored = replace(tour.finder, mounts=tour.finder.mounts * [1.0, 1.0, -1.0])
+    assert mount_of_scans(replace(tour, finder=mirrored)) is None
+
+
+def test_too_short_a_drive_says_nothing(tour: SensorLog):
+    log = mounted(tour, (0.0, 0.0, 0.0)).select(np.arange(40))
+    assert mount_of_fit(log, log.poses) is None
+    assert mount_of_scans(log.select(np.arange(10))) is None
+
+
+def test_a_trajectory_names_the_mount_in_place_of_slips(tour: SensorLog, office: OccupancyGrid):
+    log = mounted(tour, (0.0, 0.0, 0.0))
+    names = [one.name for one in fit_trajectory(log, office, start=log.poses[0]).findings]
+    assert names[0] == "laser-mount"
+    assert "wheel-slip" not in names
+
+
+def test_where_no_trajectory_is_found_the_error_names_the_mount(
+    tour: SensorLog, office: OccupancyGrid, monkeypatch: pytest.MonkeyPatch
+):
+    log = mounted(tour, (0.3, 0.1, 105.0))
+    not_found = Mock(side_effect=TrajectoryNotFoundError("no trajectory fits"))
+    monkeypatch.setattr("beamfield.localization.trajectory.choose_course", not_found)
+    with pytest.raises(
+        TrajectoryNotFoundError,
+        match=r"no trajectory fits\..* turned by 90\.\d degrees to the right of what its mount",
+    ):
+        fit_trajectory(log, office, start=log.poses[0])

@@ -180,6 +180,12 @@ def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):
     assert all("alpha 0.02" in said for said in (replay_markup(repaired), replay_tables(repaired)))
 
 
+def test_where_only_the_map_is_corrected_the_verdict_says_so(repaired):
+    moved = replace(repaired.finalist, sensor="before", motion="before", shift=-0.025)
+    said = replay_verdict(replace(repaired, finalist=moved))
+    assert said.startswith("Use the corrected map with the values you have: replayed")
+
+
 def test_of_a_stretch_only_what_follows_the_lead_in_is_judged(drive):
     stretches = cut_segments(drive, 0.1, 0.1, most=4, longest=1000)
     assert len(stretches) == 4

@@ -50,8 +50,10 @@ def replay_verdict(choice: ReplayChoice) -> str:
     inside = f"truth in the particles' 95% ellipse {_inside(before):.0%} -> {_inside(after):.0%}"
     lost = f"lost runs {_lost(before)} -> {_lost(after)}"
     if choice.is_better:
+        only_map = choice.chosen.sensor == choice.chosen.motion == BEFORE
+        use = "Use the corrected map with the values you have" if only_map else "Use the new values"
         return (
-            f"Use the new values: {where}, the position error is {choice.error.before:.3f} m before and "
+            f"{use}: {where}, the position error is {choice.error.before:.3f} m before and "
             f"{choice.error.after:.3f} m after ({_told(choice.error)}), {lost}, {inside}."
         )
     if choice.finalist is choice.before:

@@ -35,7 +35,7 @@ def stack_tables(result: StackResult, *, width: int | None) -> str:
     rows, scores = _parameter_rows(result), [row for fit in fits for row in _score_rows(fit, result.trial)]
     parts = [
         f"{chosen.model.stack}, {chosen.model.model}: {HOW[chosen.how]}",
-        aligned(("parameter", "before", "to use"), rows, right=(1, 2)) if rows else "All values stay as they are.",
+        aligned(_VALUES_HEADER, rows, right=(1, 2)) if rows else _NO_CHANGE,
         aligned(_SCORE_HEADER, scores, right=(2, 3, 4, 5), width=width),
         f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
     ]
@@ -54,16 +54,18 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
     rows = [row for fit in fits for row in _score_rows(fit, result.trial)]
     chosen_rows = [number for number, row in enumerate(rows) if row[0]]
     scores = table(_SCORE_HEADER[1:], [row[1:] for row in rows], right=(1, 2, 3, 4), bold=chosen_rows)
-    values = table(("parameter", "before", "to use"), _parameter_rows(result), right=(1, 2), css="stack")
+    changed = _parameter_rows(result)
+    values = table(_VALUES_HEADER, changed, right=(1, 2), css="stack") if changed else f"<p>{_NO_CHANGE}</p>"
     found = stack_findings(result)
     replayed = f"<p>{escaped(_not_replayed(result))}</p>" if replay is None else replay_markup(replay)
     options = chosen.options
     choice = ReportFigure(
         "stack-choice",
-        "What was chosen, and what one scan does to particles",
+        "What windows propose, and what one scan does to particles",
         (_beams_panel(chosen), _error_panel(chosen)),
         "Left: the score of each setting on windows that its values were not fitted to, and the same minus a penalty "
-        "for 95% regions that miss the reference; the circle is the setting taken. Right: the mean distance of "
+        "for 95% regions that miss the reference; the circle is the setting that windows propose to the replay. Right: "
+        "the mean distance of "
         "particles from the reference after one scan, over held-out scans; left of the dashed line the scan helped.",
         "",
     )
@@ -142,6 +144,7 @@ def stack_as_dict(result: StackResult) -> dict[str, Any]:
     }
 
 
+_VALUES_HEADER, _NO_CHANGE = ("parameter", "before", "to use"), "All values stay as they are."
 _SCORE_HEADER = ("", "model", "score [nats]", "coverage", "effective particles", "error after update [m]")
 
 
@@ -192,7 +195,7 @@ def _beams_panel(fit: StackFit) -> Panel:
     axes.plot(places, net, "o-", color=FIT, label="minus penalty")
     for place, trial in zip(places, fit.trials, strict=True):
         if dict(trial.setting) == dict(fit.chosen.setting):
-            axes.plot(place, net[place], "o", ms=11, mfc="none", mec=HELD_OUT, label="taken")
+            axes.plot(place, net[place], "o", ms=11, mfc="none", mec=HELD_OUT, label="proposed")
     axes.set_xticks(places, labels)
     legend_above(axes)
     said = "; ".join(f"{label} {value:.2f}" for label, value in zip(labels, net, strict=True))

@@ -319,7 +319,7 @@ def ordered_stamps(stamps: FloatArray, path: Path, topic: str, notes: list[str])
         where = int(np.argmax(behind > STAMP_TOLERANCE))
         raise FormatError(
             path,
-            f"the stamps run backwards, from {latest[where - 1]:.6f} to {stamps[where]:.6f} s",
+            f"the stamps run backwards, from {latest[where - 1]:.6f} to {stamps[where]:.6f} s; cut the bag there",
             field=f"{topic}, message {where + 1}",
         )
     swapped = int(np.count_nonzero(behind))

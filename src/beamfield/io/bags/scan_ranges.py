@@ -43,8 +43,10 @@ def resolve_limits(
     if min_range is not None and max_range is not None:
         raise InvalidInputError(f"expected 0 <= min_range < max_range < inf, got {min_range!r} and {max_range!r}")
     wrong = "min_range" if max_range is not None or not 0.0 <= low < np.inf else "max_range"
+    furthest = scans.ranges.max(where=np.isfinite(scans.ranges), initial=0.0)
+    hint = f" (the furthest reading is {furthest:.6g} m)" if wrong == "max_range" else ""
     raise FormatError(
-        path, f"expected limits 0 <= range_min < range_max < inf, got {low!r} and {high!r}; give {wrong}",
+        path, f"expected limits 0 <= range_min < range_max < inf, got {low!r} and {high!r}; give {wrong}{hint}",
         field=scans.topic,
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ def compile_ahead() -> Iterator[None]:
         yield
         return
     with subprocess.Popen(
-        [sys.executable, "-m", __spec__.name],
+        [sys.executable, "-P", "-m", __spec__.name],
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     ) as other:  # fmt: skip
         try:

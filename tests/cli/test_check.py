@@ -110,7 +110,13 @@ def test_a_log_is_judged_by_itself_and_the_table_is_printed(world, tmp_path, cap
     assert 90.0 < share <= 100.0
     assert "of this log" in text
     assert text.startswith("lost probability never above 0.5")
-    assert len(re.findall(r"^ +[0-9]+ +1[0-9]{2}\.[0-9]{3} ", text, re.M)) == 3
+    rows = csv.DictReader((tmp_path / "out" / "scan_fit.csv").read_text().splitlines())
+    stamps = [float(row["stamp"]) for row in rows]
+    listed = re.findall(r"^ +([0-9]+) +([0-9.]+) ", text, re.M)
+    assert [(time, len(listed)) for _, time in listed] == [(f"{stamps[int(i)] - stamps[0]:.1f}", 3) for i, _ in listed]
+    page = (tmp_path / "out" / "scan_fit.html").read_text()
+    assert all(f"scan {i}, {time} s after the first" in page for i, time in listed)
+    assert [words.count(f"{stamps[0]:.3f} s") for words in (text, page)] == [1, 1]
     assert "differs from the map: 0 new obstacles, 0 missing walls" in text
 
 

@@ -60,7 +60,7 @@ def fit_over_time(fits: ScanFits, reference: ScanFitReference, *, own: bool) -> 
         f"{reference.n_effective:.0f} independent ones, so that a p-value of {LEVEL:g} is uncertain by "
         f"{np.sqrt(LEVEL * (1 - LEVEL) / max(reference.n_effective, 1.0)):.2g}. Below: running probability that the "
         "robot is elsewhere than its pose says, from successive scans; a crowd or a moved cupboard lowers p-values, "
-        f"but should leave this line low.{silent}",
+        f"but should leave this line low. The first scan's stamp is {fits.stamps[0]:.3f} s.{silent}",
         "Section 6.1, (6.2); Table 6.1",
         cloud=len(fits) >= 1500,
     )
@@ -129,7 +129,7 @@ def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: 
     figure, axes = new_axes(NARROW, 4.6, above=2)
     draw_sides(axes, model, log, grid, scan)
     where = PROBLEMS[int(fits.problem[scan])]
-    name = f"scan {scan}, stamp {log.stamps[scan]:.2f} s"
+    name = f"scan {scan}, {fits.stamps[scan] - fits.stamps[0]:.1f} s after the first"
     text = f"p-value {fits.p_value[scan]:.2g}, lost probability {fits.lost[scan]:.2f}{where and f' ({where})'}"
     axes.set_title(f"{name}\n{text}", fontsize=8.5, loc="left", pad=34)
     return png_panel(figure, f"{name}: {text}", dpi=120)

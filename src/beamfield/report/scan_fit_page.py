@@ -38,11 +38,12 @@ def fit_table(fits: ScanFits, worst: NDArray[np.int64]) -> str:
     if len(worst):
         lines += [
             "",
-            "worst scans (through, short: share of beams beyond the mapped obstacle and before it, minus the expected)",
-            "  scan       stamp [s]  p-value    lost  through   short",
+            "worst scans (through, short: share of beams beyond the mapped obstacle and before it, minus the expected;",
+            f"time: since the first scan, whose stamp is {fits.stamps[0]:.3f} s)",
+            "  scan  time [s]  p-value    lost  through   short",
         ]
         lines += [
-            f"{i:6d}  {fits.stamps[i]:14.3f}  {fits.p_value[i]:7.4f}  {fits.lost[i]:6.3f}"
+            f"{i:6d}  {fits.stamps[i] - fits.stamps[0]:8.1f}  {fits.p_value[i]:7.4f}  {fits.lost[i]:6.3f}"
             f"  {_share(fits.statistics.through[i])}  {_share(fits.statistics.short[i])}"
             for i in worst
         ]

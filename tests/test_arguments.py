@@ -111,6 +111,7 @@ EMPTY_LOG = bf.SensorLog(FINDER, [0.0], [[np.nan, np.nan]], np.zeros((1, 3)), np
 SEVERAL = bf.ScanLog({"/a": LOG, "/b": LOG}, source="run.bag")
 MODEL = BeamModel(GRID, BEAM)
 POSES = np.zeros((4, 3))
+BELIEF = bf.localization.PoseBelief.around(POSES[0], sd_position=0.5)
 
 
 @pytest.mark.parametrize(
@@ -133,6 +134,17 @@ POSES = np.zeros((4, 3))
         (lambda: MODEL.log_likelihood(LOG, POSES), r"z: .*got a SensorLog: log\[i\] is one of its scans"),
         (lambda: MODEL.log_likelihood(EMPTY_LOG, POSES), r"z: .*got a SensorLog: log\[i\] is one of its scans"),
         (lambda: MODEL.responsibilities(LOG, POSES), r"z: .*got a SensorLog: log\[i\] is one of its scans"),
+        (
+            lambda: bf.LikelihoodFieldModel(GRID, FIELD, n_beams=1).log_likelihood(LOG, POSES),
+            r"z: .*got a SensorLog: log\[i\] is one of its scans",
+        ),
+        (lambda: bf.align(SCAN, onto=SCAN.ranges, initial=POSES[0]), r"onto\[0\]: expected a Scan, got 1.0"),
+        (
+            lambda: _filter().start(BELIEF),
+            r"poses: .*: localization.belief_poses\(belief, n, rng\) draws poses from it",
+        ),
+        (lambda: bf.GaussianMotion().sample(POSES, POSES[:2], 0), r"rng: .*np.random.default_rng\(seed\) makes one"),
+        (lambda: _filter(rng=np.random.RandomState(0)), "rng: expected a Generator, a whole number or None, got a Ran"),
         (lambda: MODEL.expected(SCAN, FINDER), "poses: .*got a Scan: the scan comes first, then the poses"),
         (lambda: MODEL.sample(POSES, np.random.default_rng(0)), r"finder: .*sample\(poses, finder, rng\)"),
         (lambda: bf.RayCaster("map.yaml"), r"grid: .*: read_map\(path\) reads one"),
@@ -144,6 +156,10 @@ POSES = np.zeros((4, 3))
 def test_what_users_mix_up_comes_with_what_to_do(call, words):
     with pytest.raises(InvalidInputError, match=words):
         call()
+
+
+def _filter(**options: Any) -> bf.ParticleFilter[Scan]:
+    return bf.ParticleFilter(MODEL, bf.GaussianMotion(), **options)
 
 
 def _grid():

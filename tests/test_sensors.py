@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -71,6 +73,11 @@ def test_a_stamp_is_shown_to_the_millisecond():
     finder = RangeFinder.from_bearings([0.0], 8.0)
     assert "stamp=1663971234.568" in repr(Scan([1.0], finder, stamp=1663971234.5678))
     assert "stamp=12.3457" in repr(Scan([1.0], finder, stamp=12.345678))
+
+
+def test_a_pickled_copy_prints_as_the_original():
+    scan = Scan([1.0], RangeFinder.from_bearings([0.0], 5.0))
+    assert repr(pickle.loads(pickle.dumps(scan))) == repr(scan)
 
 
 def test_columns_of_the_wrong_length_are_refused():

@@ -22,8 +22,6 @@ from beamfield.errors import BeamfieldError, InvalidInputError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# What code raises that meets an argument of the wrong type.
-_SYMPTOMS = (TypeError, ValueError, AttributeError, IndexError, KeyError, OverflowError, AssertionError)
 # Beyond these, squares and quotients of metres overflow or vanish, and densities with them.
 SMALLEST, LARGEST = 1e-12, 1e9
 
@@ -57,7 +55,7 @@ def checked(function: F) -> F:
             return function(*args, **kwargs)
         except BeamfieldError:
             raise
-        except _SYMPTOMS as error:
+        except Exception as error:  # compiled code has its own for arguments of the wrong type
             _blame(function, args, kwargs, error)
             raise
 
@@ -128,6 +126,8 @@ def as_generator(rng: np.random.Generator | int | None) -> np.random.Generator:
     """Return a source of randomness: one, a seed of at least 0, or None for other numbers each time."""
     if rng is None or isinstance(rng, np.random.Generator):
         return np.random.default_rng(rng)
+    if not isinstance(rng, Integral):
+        raise InvalidInputError(f"rng: expected a Generator, a whole number or None, got {described(rng)}")
     return np.random.default_rng(as_count(rng, "rng", least=0))
 
 

@@ -38,7 +38,8 @@ def _is_default(item: Field[Any], value: Any) -> bool:
     if item.default_factory is not MISSING:
         default = item.default_factory()
         return np.array_equal(value, default) if isinstance(default, np.ndarray) else bool(value == default)
-    return value is item.default
+    # After pickling a default is equal, but no longer the same object.
+    return value is item.default or (isinstance(value, float | int | str) and bool(value == item.default))
 
 
 def _brief(value: Any) -> str:

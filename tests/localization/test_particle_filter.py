@@ -392,3 +392,11 @@ def test_readings_of_people_are_left_out_while_the_cloud_is_small(room):
         short.leave_out(cones, cloud.belief, rng)
     cloud.start(rng.normal(truth, [1.0, 1.0, 0.02], (500, 3)))
     assert short.leave_out(seen, cloud.belief, rng) is seen
+
+
+def test_a_filter_shows_its_parts_and_its_state():
+    own = ParticleFilter(Position(0.5), Shift(0.1), rng=1)
+    assert repr(own) == "ParticleFilter(Position, Shift, not started)"
+    own.start(np.tile([1.0, 2.0, 0.0], (8, 1)))
+    own.update(np.array([1.0, 2.0]), np.zeros(3))
+    assert repr(own) == "ParticleFilter(Position, Shift, 8 particles, pose=[1.0, 2.0, 0.0])"

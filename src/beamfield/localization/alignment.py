@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.argument_kinds import expect_each
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, wrap_angle
@@ -318,6 +319,7 @@ def _as_field(onto: ScanField | Scan | Sequence[Scan], poses: ArrayLike | None) 
         return onto
     if isinstance(onto, Scan):
         return ScanField.from_scan(onto, pose=(0.0, 0.0, 0.0) if poses is None else poses)
+    expect_each("onto", onto, Sequence[Scan])
     if poses is None:
         raise InvalidInputError("onto_poses: expected the poses of the scans in one frame, got None")
     return ScanField.from_scans(onto, poses)

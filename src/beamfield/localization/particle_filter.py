@@ -173,6 +173,10 @@ class ParticleFilter(Generic[Z]):
         self._coarse: MeasurementModel[Z] | None = None
         self._odometry = ContinuousOdometry()
 
+    def __repr__(self) -> str:
+        state = "not started" if self._belief is None else f"{len(self._belief)} particles, pose={self.pose.tolist()}"
+        return f"ParticleFilter({type(self._model).__name__}, {type(self._motion).__name__}, {state})"
+
     @checked
     def start(
         self, poses: ArrayLike, weights: ArrayLike | None = None, *, coarse: MeasurementModel[Z] | None = None

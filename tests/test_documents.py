@@ -124,7 +124,7 @@ def readme(world: World) -> dict[str, Any]:
 
 
 def alignment(world: World) -> dict[str, Any]:
-    return {"scan": world.log.scan(11), "previous_scan": world.scan, "odometry_step": [0.05, 0.0, 0.05]}
+    return {"log": world.log}
 
 
 def calibrate(world: World) -> dict[str, Any]:

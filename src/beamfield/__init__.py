@@ -36,6 +36,8 @@ _NAMES = {
     "maps.scan_field": ("ScanField",),
     "maps.mapping": ("build_map", "local_map"),
     # Models
+    "models.base": ("MeasurementModel",),
+    "models.motion": ("MotionModel",),
     "models.beam": ("BeamModel",),
     "models.beam_parameters": ("BeamParameters",),
     "models.likelihood_field": ("LikelihoodFieldModel",),

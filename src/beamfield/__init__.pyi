@@ -46,6 +46,8 @@ from beamfield.maps.range_table import RangeTable as RangeTable
 from beamfield.maps.cone import ConeCaster as ConeCaster
 from beamfield.maps.scan_field import ScanField as ScanField
 from beamfield.maps.mapping import build_map as build_map, local_map as local_map
+from beamfield.models.base import MeasurementModel as MeasurementModel
+from beamfield.models.motion import MotionModel as MotionModel
 from beamfield.models.beam import BeamModel as BeamModel
 from beamfield.models.beam_parameters import BeamParameters as BeamParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel as LikelihoodFieldModel

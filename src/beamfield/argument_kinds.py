@@ -150,6 +150,7 @@ _WHAT_TO_DO = {
     ("Scan", "array"): "Scan(ranges, finder) makes one, and it comes before the poses",
     ("Scan", "SensorLog"): "log[i] is one of its scans",
     ("array", "Scan"): "the scan comes first, then the poses",
+    ("array", "Particles"): "its .poses are",
     ("array", "PoseBelief"): "localization.belief_poses(belief, n, rng) draws poses from it",
     ("Generator", "int"): "np.random.default_rng(seed) makes one",
 }

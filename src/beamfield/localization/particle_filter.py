@@ -162,7 +162,11 @@ class ParticleFilter(Generic[Z]):
         short_readings: ShortReadings | None = None,
         rng: np.random.Generator | int | None = None,
     ) -> None:
-        for name, given, hint in (("model", model, MeasurementModel), ("motion", motion, MotionModel)):
+        for name, given, hint in (
+            ("model", model, MeasurementModel), ("motion", motion, MotionModel),
+            ("options", options, FilterOptions | None),
+            ("source", source, PoseSource | None), ("short_readings", short_readings, ShortReadings | None),
+        ):  # fmt: skip
             expect(name, given, hint)
         self.options = options or FilterOptions()
         if self.options.recovery is not None and source is None:

@@ -102,7 +102,7 @@ class OccupancyGrid:
         Raises
         ------
         InvalidInputError
-            If a value is below -1 or above 100, or as for the class.
+            If a value is below -1 or above 100, none is above 1 (but of a message's int8), or as for the class.
 
         Examples
         --------
@@ -115,6 +115,11 @@ class OccupancyGrid:
             bad = values[(values < -1) | (values > 100)][0]
             raise InvalidInputError(f"data: expected -1 or 0 to 100, got {bad}")
         require(values.ndim == 2, "data", "shape (rows, cols)", values.shape)
+        if values.dtype != np.int8 and values.size and 0 < values.max() <= 1:
+            raise InvalidInputError(
+                f"data: expected percent, 100 where occupied, got {values.max()} at most: 100 * data is percent, "
+                "if 1 is occupied"
+            )
         # Step by step, for maps whose copies would not fit into memory.
         probability = values.astype(np.float32)
         probability /= np.float32(100.0)

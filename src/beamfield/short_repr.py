@@ -16,12 +16,12 @@ MANY = 1_000_000  # numbers of which none is looked at
 
 
 def short_repr(instance: Any) -> str:
-    """Return the class and the fields of a dataclass; arrays and collections by their size.
+    """Return the class and the fields of a dataclass or named tuple; arrays and collections by their size.
 
     Parameters
     ----------
     instance
-        The dataclass, whose `__repr__` this is. Fields that have their default are left out.
+        That whose `__repr__` this is. A dataclass' fields that have their default are left out.
 
     Examples
     --------
@@ -29,8 +29,12 @@ def short_repr(instance: Any) -> str:
     >>> RangeFinder.from_bearings(np.linspace(-1.0, 1.0, 181), max_range=12.0)
     RangeFinder(mounts=<181 x 3 numbers, -1 to 1>, max_range=12.0)
     """
-    shown = ((item, getattr(instance, item.name)) for item in fields(instance) if item.repr)
-    text = ", ".join(f"{item.name}={_brief(value)}" for item, value in shown if not _is_default(item, value))
+    if is_dataclass(instance):
+        every = ((item, getattr(instance, item.name)) for item in fields(instance) if item.repr)
+        shown = [(item.name, value) for item, value in every if not _is_default(item, value)]
+    else:
+        shown = list(zip(instance._fields, instance, strict=True))
+    text = ", ".join(f"{name}={_brief(value)}" for name, value in shown)
     return "\n".join(textwrap.wrap(f"{type(instance).__name__}({text})", WIDTH, subsequent_indent="    "))
 
 

@@ -14,7 +14,7 @@ from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
-from beamfield.models.landmark_poses import log_distance_mass, sample_distances, sample_poses
+from beamfield.models.landmark_poses import PoseSamples, log_distance_mass, sample_distances, sample_poses
 
 REACH, FINE, COARSE = 3.5, 112, 7
 PARAMETERS = LandmarkParameters(0.4, 0.5, max_range=3.0)
@@ -215,3 +215,8 @@ def test_an_impossible_type_is_reported(rng):
     of = model(landmarks, LandmarkParameters(0.4, 0.5, confusion=np.eye(2)))
     with pytest.raises(TooLittleDataError, match="no landmark can show the signature of feature 0"):
         sample_poses(of, Detections([1.0], [0.0], [1]), 10, rng)
+
+
+def test_many_poses_print_as_their_number():
+    samples = PoseSamples(np.zeros((1000, 3)), np.full(1000, -7.0))
+    assert repr(samples) == "PoseSamples(poses=<1000 x 3 numbers, 0 to 0>, log_weights=<1000 numbers, -7 to -7>)"

@@ -18,6 +18,7 @@ from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.landmark_signatures import LOG_2PI, signature_log_density
 from beamfield.models.wrapped_normal import sample_wrapped
+from beamfield.short_repr import short_repr
 
 # With a grid, drawing stops when less than one pose in so many lies in free space.
 MAX_DRAWS_PER_POSE = 10_000
@@ -36,6 +37,9 @@ class PoseSamples(NamedTuple):
     """(n, 3) metres and radians."""
     log_weights: FloatArray
     """(n,) nats, normalised: their exponentials sum to 1."""
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     @property
     def effective_size(self) -> float:

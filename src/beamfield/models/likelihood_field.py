@@ -37,6 +37,9 @@ class BeamProfile(NamedTuple):
     density: FloatArray
     """(n,) z_hit p_hit + z_rand p_rand (6.34), without the point mass of "no return"."""
 
+    def __repr__(self) -> str:
+        return short_repr(self)
+
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodFieldModel:

@@ -42,6 +42,20 @@ def test_a_minimum_lies_between_the_beams_and_not_beyond_the_edge_of_the_view(rn
     assert all(bearings[0] <= minimum.measurement[1] <= bearings[60] for minimum in found)
 
 
+def test_no_minimum_is_lost_where_a_full_turn_begins(rng):
+    """End points so dense that noise alone decides which two are the farthest apart."""
+    bearings = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    finder = RangeFinder.from_bearings(bearings, 10.0)
+    for _ in range(40):
+        heading = bearings + rng.uniform(0, 2 * np.pi)
+        room = np.minimum(
+            2.0 / np.maximum(np.abs(np.cos(heading)), 1e-9), 2.2 / np.maximum(np.abs(np.sin(heading)), 1e-9)
+        )
+        found = find_local_minima(Scan(room + rng.normal(0, 0.02, 720), finder), RangeNoise(0.02))
+        walls = np.array([minimum.measurement[1] for minimum in found]) + heading[0] - bearings[0]
+        assert set(np.round(walls / (np.pi / 2)).astype(int) % 4) == {0, 1, 2, 3}
+
+
 def test_noise_on_a_circle_has_no_minima(rng):
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 720, endpoint=False), 10.0)
     found = [find_local_minima(Scan(3 + rng.normal(0, 0.02, 720), finder), RangeNoise(0.02)) for _ in range(20)]

@@ -75,7 +75,13 @@ def test_elements_know_to_how_many_end_points_their_lines_were_fitted(rng: np.ra
     assert 0.6 < np.sqrt(np.mean(scatter)) / sigma < 1.4
 
 
+def test_elements_know_how_far_their_end_points_scatter(rng: np.random.Generator) -> None:
+    elements = elements_of(*wall(1.0, 0.01, rng))
+    middle = elements[np.abs(elements[:, surfaces.X]) < 0.3]
+    assert np.sqrt(np.mean(middle[:, surfaces.OFF] ** 2)) == pytest.approx(0.01, rel=0.35)
+
+
 def test_both_files_mean_the_same_columns() -> None:
-    columns = ("X", "Y", "NX", "NY", "BACK", "AHEAD", "PULL", "COUNT", "FITTED", "COLUMNS")
+    columns = ("X", "Y", "NX", "NY", "BACK", "AHEAD", "PULL", "COUNT", "FITTED", "OFF", "COLUMNS")
     for name in (*columns, "POINT", "NONE", "ELEMENT", "SHORTEST_ELEMENT"):
         assert getattr(scan_field, name) == getattr(surfaces, name)

@@ -107,6 +107,21 @@ def test_covariances_tell_the_errors_in_rooms(n: int, conditions: Conditions) ->
     assert np.mean(nees[certain] < 7.815) > 0.88
 
 
+@pytest.mark.parametrize(("onto_noise", "scan_noise"), [(0.03, 0.002), (0.002, 0.03)])
+def test_covariances_tell_the_errors_of_scans_from_unlike_sensors(
+    onto_noise: float, scan_noise: float, rng: np.random.Generator
+) -> None:
+    """The scan's residuals do not tell how noisy the field is: as if they did, these means were 6 and 1.7."""
+    sensor, truths, results = finder(FULL_CIRCLE), [], []
+    for turn in rng.uniform(-np.pi, np.pi, 100):
+        first = np.array([0.0, 1.0, turn])
+        onto = see(ROOM, first, sensor, onto_noise * rng.normal(size=360))
+        scan = see(ROOM, compose(first, MOTION), sensor, scan_noise * rng.normal(size=360))
+        truths.append(MOTION)
+        results.append(align(scan, onto, MOTION))
+    assert 2.1 < mahalanobis_squares(truths, results).mean() < 4.0
+
+
 def test_deviations_grow_with_the_noise_and_shrink_with_the_beams() -> None:
     def deviation(step: float, sigma: float) -> float:
         """Return the median over ten pairs."""

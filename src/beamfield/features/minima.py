@@ -69,18 +69,32 @@ def find_local_minima(
     for sweep in sweeps(scan):
         if np.ptp(sweep.origins, axis=0).max() > 1e-5:
             continue
+        first, stop = 0, len(sweep)
+        if sweep.closed:
+            # Noise may put the start of a full turn at a minimum: its beams are looked at where both sides are there.
+            first = int(np.searchsorted(sweep.angles, sweep.angles[0] + half_width))
+            sweep, stop = two_turns(sweep), stop + first
         for run in split_at_gaps(sweep, noise, max_gap=max_gap):
-            found += minima_of_run(sweep, run, noise, half_width)
+            found += minima_of_run(sweep, run, noise, half_width, first, stop)
     return found
 
 
-def minima_of_run(sweep: Sweep, run: NDArray[np.int64], noise: RangeNoise, half_width: float) -> list[LocalMinimum]:
-    """Return the minima inside one run of end points."""
+def two_turns(sweep: Sweep) -> Sweep:
+    """Return a full turn followed by itself."""
+    twice = [np.concatenate([each, each]) for each in (sweep.beams, sweep.origins, sweep.ranges, sweep.returned)]
+    angles = np.concatenate([sweep.angles, sweep.angles + 2.0 * np.pi])
+    return Sweep(twice[0], twice[1], angles, twice[2], twice[3], closed=True)
+
+
+def minima_of_run(
+    sweep: Sweep, run: NDArray[np.int64], noise: RangeNoise, half_width: float, first_place: int, stop_place: int
+) -> list[LocalMinimum]:
+    """Return the minima inside one run of end points, of those at places from the first one to before the last."""
     angles, ranges = sweep.angles[run], sweep.ranges[run]
     first = np.searchsorted(angles, angles - half_width - 1e-9)
     stop = np.searchsorted(angles, angles + half_width + 1e-9)
     found = []
-    for k in range(len(run)):
+    for k in np.flatnonzero((run >= first_place) & (run < stop_place)).tolist():
         window = slice(int(first[k]), int(stop[k]))
         # The first of equals stands for all of them.
         least = window.start + int(np.argmin(ranges[window])) == k

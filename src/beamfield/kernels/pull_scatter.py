@@ -17,6 +17,7 @@ from beamfield.kernels.scan_field import (
     NONE,
     NX,
     NY,
+    OFF,
     POINT,
     PULL,
     FieldView,
@@ -41,8 +42,9 @@ def sum_patches(points: Floats, pose: Floats, sigma: float, reach: float, patch:
     """Fill pulls and noise (3, 3): two ways to say how `linearise`'s gradient scatters.
 
     `noise` holds if residuals err independently: squared pulls of the end points, and per patch of surface what the
-    mean error of the field's own end points there pulls, if they err like the residuals. `pulls` sums the squares of
-    whole patches' pulls, whatever makes them agree. A patch is a stretch of elements that follow one another, `patch`
+    mean error of the field's own end points there pulls, by their scatter across the lines fitted to them (where there
+    is none, as if they erred like the residuals). `pulls` sums the squares of whole patches' pulls, whatever makes them
+    agree. A patch is a stretch of elements that follow one another, `patch`
     metres long or longer where there are few end points. `sums` (m, SUMS) is work space, one row per element.
     """
     sums[:] = 0.0
@@ -66,19 +68,23 @@ def sum_patches(points: Floats, pose: Floats, sigma: float, reach: float, patch:
             _add_pull(i, -ny, nx, dy * nx - dx * ny, share, own, rx, ry, sums, noise)
     total = np.zeros(SUMS)
     first, last, count = 0, 0, 0.0
+    squares, fitted = 0.0, 0.0
     for i in range(sums.shape[0]):
         if view.elements[i, PULL] == NONE:
             continue
         long = _apart(view.elements, first, i) > patch and count >= FEWEST_IN_PATCH
         if long or _apart(view.elements, last, i) > patch:
-            _add_patch(total, count, pulls, noise)
+            _add_patch(total, count, squares, fitted, pulls, noise)
             total[:] = 0.0
-            first, count = i, 0.0
+            first, count, squares, fitted = i, 0.0, 0.0, 0.0
         last = i
         count += view.elements[i, COUNT]
+        if view.elements[i, OFF] >= 0.0:
+            squares += view.elements[i, COUNT] * view.elements[i, OFF] ** 2
+            fitted += view.elements[i, COUNT]
         for a in range(SUMS):
             total[a] += sums[i, a]
-    _add_patch(total, count, pulls, noise)
+    _add_patch(total, count, squares, fitted, pulls, noise)
 
 
 @kernel
@@ -102,11 +108,12 @@ def _apart(elements: Floats, i: int, j: int) -> float:
 
 
 @kernel
-def _add_patch(total: Floats, count: float, pulls: Floats, noise: Floats) -> None:
-    """Add one patch, in which the field has `count` end points."""
+def _add_patch(total: Floats, count: float, squares: float, fitted: float, pulls: Floats, noise: Floats) -> None:
+    """Add one patch with `count` of the field's end points; the squares of the `fitted` ones about their lines."""
     if total[7] <= 0.0:
         return
-    variance = total[6] / total[7] / max(count, 1.0)
+    # The scan may be of a better or worse sensor than the field: its residuals do not tell the field's noise.
+    variance = (squares / fitted if fitted > 0.0 else total[6] / total[7]) / max(count, 1.0)
     for a in range(3):
         for b in range(3):
             pulls[a, b] += total[a] * total[b]

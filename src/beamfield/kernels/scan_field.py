@@ -24,7 +24,7 @@ Integers = NDArray[np.int64]
 INV_SQRT_2PI = 0.3989422804014327
 
 # As in `kernels.surfaces`, whose elements these are: constants of other files would not renew a cached kernel.
-X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, FITTED, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, FITTED, OFF, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10
 POINT, NONE = 0.0, -1.0
 ELEMENT, SHORTEST_ELEMENT = 0.25, 0.05
 # An element that stands for several end points reaches this far from its middle.
@@ -58,7 +58,7 @@ class FieldView(NamedTuple):
 def fill_buckets(
     elements: Floats, left: float, bottom: float, bucket: float, cols: int, start: Integers, items: Integers
 ) -> None:
-    """Sort the elements (m, 9) into buckets: bucket b is items[start[b] : start[b + 1]]; start is all 0 before."""
+    """Sort elements (m, COLUMNS) into buckets: bucket b is items[start[b] : start[b + 1]]; start is all 0 before."""
     for i in range(elements.shape[0]):
         start[_bucket_of(elements, i, left, bottom, bucket, cols) + 1] += 1
     for b in range(1, start.size):

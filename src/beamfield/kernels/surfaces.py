@@ -16,9 +16,9 @@ from beamfield.kernels.jit import kernel
 Floats = NDArray[np.float64]
 
 # Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, how it pulls, how
-# many end points it stands for, and to how many it was fitted (1 for a point). `kernels.scan_field` has the same
-# numbers.
-X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, FITTED, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+# many end points it stands for, to how many it was fitted (1 for a point), and the deviation of those across it (NaN
+# for a point, and in gaps). `kernels.scan_field` has the same numbers.
+X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, FITTED, OFF, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10
 # A line pulls across, a point from all sides. A lone end point does not pull at all: where surfaces are seen sparsely
 # (the far end of a corridor), the next scan meets them elsewhere; and random and short readings are lone end points.
 LINE, POINT, NONE = 1.0, 0.0, -1.0
@@ -102,7 +102,7 @@ def range_noise(bearings: Floats, ranges: Floats, joined: NDArray[np.bool_]) -> 
 
 @kernel
 def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], noise: float, out: Floats) -> int:
-    """Fill out (>= 4 k, 9) with the elements of the end points (k, 2) of one origin; return how many there are.
+    """Fill out (>= 4 k, COLUMNS) with the elements of the end points (k, 2) of one origin; return how many there are.
 
     `noise` is that of `range_noise`. Where beams are dense, it makes a wall's nearest end points look like a cloud that
     has no direction, or any; a line through more of them has the wall's.
@@ -132,11 +132,12 @@ def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], nois
         gap_behind = _gap(points, h, i) if k > 1 and joined[h] else 0.0
         radius = max(FIT_RADIUS, 1.01 * max(gap_ahead, gap_behind))
         cx, cy, nx, ny, fitted, off = _fit_line(points, joined, i, radius)
+        across = off
         while off <= allowed and 2.0 * radius <= WIDEST_FIT:
             radius *= 2.0
             wide_x, wide_y, wide_nx, wide_ny, wide_fitted, off = _fit_line(points, joined, i, radius)
             if off <= allowed:
-                cx, cy, nx, ny, fitted = wide_x, wide_y, wide_nx, wide_ny, wide_fitted
+                cx, cy, nx, ny, fitted, across = wide_x, wide_y, wide_nx, wide_ny, wide_fitted, off
         flat = fitted > 0.0
         # The tangent points along the beams' order, so that AHEAD is towards the next end point.
         a, b = (i, j) if joined[i] else (h, i)
@@ -154,6 +155,7 @@ def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], nois
         out[n, PULL] = LINE if flat else POINT if dense else NONE
         out[n, COUNT] = 1.0
         out[n, FITTED] = fitted if flat else 1.0
+        out[n, OFF] = across if flat else math.nan
         n += 1
         kept = i if flat else -1
         if gap_ahead > ELEMENT:
@@ -220,5 +222,6 @@ def _fill_gap(points: Floats, i: int, j: int, gap: float, n: int, out: Floats) -
         out[n, COUNT] = 0.0
         # (1 - t)^2 + t^2 on average.
         out[n, FITTED] = 1.5
+        out[n, OFF] = math.nan
         n += 1
     return n

@@ -30,8 +30,9 @@ def sandwich_covariance(points: FloatArray, pose: FloatArray, field: ScanField, 
     - **A** is measured: differences of g, two thirds of sigma to both sides. It is less than the Gauss-Newton
       information where end points change from element to element, normals are noisy and robust weights fall.
     - **B** is at least what independent errors give: the sum of the squared pulls, and for each patch of surface the
-      noise of the field's own end points, which shifts all pulls of the patch. Where the pulls of whole patches, half a
-      metre long, scatter more than that, B is their sum of squares: rough surfaces, other heights, people.
+      noise of the field's own end points, which shifts all pulls of the patch: how far they scatter about the lines
+      fitted to them. Where the pulls of whole patches, half a metre long, scatter more than that, B is their sum of
+      squares: rough surfaces, other heights, people.
 
     Parameters
     ----------

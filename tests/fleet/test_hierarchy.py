@@ -60,6 +60,15 @@ def test_intervals_hold_the_truth_and_pooling_errs_less(between_sites):
     assert np.mean(spread) == pytest.approx(0.2, abs=0.04)
 
 
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_the_centre_of_a_few_robots_is_held_as_often_as_claimed(n):
+    rng, held = np.random.default_rng(3), []
+    for _ in range(300):
+        mean, variance = partial_pooling(rng.normal(0.0, np.hypot(1.0, 0.3), n), np.full(n, 0.09), ["north"] * n).fleet
+        held.append(abs(mean) < 1.96 * np.sqrt(variance))
+    assert np.mean(held) > 0.91
+
+
 def test_a_robot_with_few_beams_borrows_and_one_with_many_keeps_its_own():
     rng = np.random.default_rng(2)
     other = BeamParameters(0.6, 0.1, 0.2, 0.1, 0.08, 0.5, 0.02)

@@ -17,9 +17,9 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.short_repr import short_repr
 
 # Standard deviations between robots and between sites that are tried, up to so many times that of the estimates, denser
-# near 0.
+# near 0. Two robots may well lie 10 times as close as others would: with 3, intervals of their centre hold it in 80%.
 _GRID = np.linspace(0.0, 1.0, 61)[1:]
-_WIDEST = 3.0
+_WIDEST_ROBOTS, _WIDEST_SITES = 10.0, 3.0
 # 95% of a normal distribution.
 _REACH = 1.959963984540054
 
@@ -199,8 +199,9 @@ def partial_pooling(values: FloatArray, variances: FloatArray, sites: Sequence[s
 def _spreads(values: FloatArray, variances: FloatArray, n_sites: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return pairs of r and s that are tried, (g,) each, and the log prior of each, for points denser near 0."""
     known = variances < UNKNOWN
-    widest = _WIDEST * float(np.std(values[known])) if known.any() else 0.0
-    r, s = np.meshgrid(widest * _GRID**2, widest * _GRID**2 if n_sites > 1 else np.zeros(1))
+    usual = float(np.std(values[known])) if known.any() else 0.0
+    of_sites = _WIDEST_SITES * usual * _GRID**2 if n_sites > 1 else np.zeros(1)
+    r, s = np.meshgrid(_WIDEST_ROBOTS * usual * _GRID**2, of_sites)
     density = np.outer(_GRID if n_sites > 1 else np.ones(1), _GRID)
     return r.reshape(-1), s.reshape(-1), np.log(density.reshape(-1))
 

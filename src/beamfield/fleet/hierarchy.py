@@ -160,7 +160,7 @@ def partial_pooling(values: FloatArray, variances: FloatArray, sites: Sequence[s
     >>> variances = np.array([0.01, 0.01, 0.01, 100.0])
     >>> pooling = partial_pooling(np.array([1.0, 2.0, 3.0, 9.0]), variances, ["north"] * 4)
     >>> pooling.robots[0].round(1).tolist(), pooling.shrinkage.round(1).tolist()
-    ([1.0, 2.0, 3.0, 2.6], [0.0, 0.0, 0.0, 0.9])
+    ([1.0, 2.0, 3.0, 2.9], [0.0, 0.0, 0.0, 0.9])
     """
     names, of_site = np.unique(np.asarray(sites), return_inverse=True)
     member = (of_site[:, None] == np.arange(len(names))).astype(np.float64)  # (n, s)

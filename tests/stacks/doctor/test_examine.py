@@ -112,6 +112,7 @@ WITHOUT = NODE.replace("$(arg z)", "0.05").replace(
     "",
 )
 ROBOT = {"stack": "ros1", "name": "amcl.launch"}
+AGAIN = WITHOUT.replace("  </node>", '    <param name="laser_z_hit" value="0.9"/>\n  </node>')
 
 
 RECORDED = with_record(
@@ -144,6 +145,10 @@ FINDINGS = {
     "updates-far-apart in angle": ({"update_min_a": 1.1}, {}, {"update_min_a": 1.0}, {}),
     "particles-reversed": ({"min_particles": 500, "max_particles": 100}, {},
                            {"min_particles": 100, "max_particles": 500}, {}),
+    "unknown-name": ({"robot_model_type": '"nav_amcl::DifferentialMotionModel"'}, {},
+                     {"robot_model_type": '"nav2_amcl::OmniMotionModel"'}, {}),
+    "given-again": ({"text": AGAIN, **ROBOT}, {}, {"text": AGAIN.replace('"0.9"', '"0.95"'), **ROBOT}, {}),
+    "given-again in YAML": ({"text": "z_hit: 0.4\nz_hit: 0.5\n"}, {}, {"text": "z_hit: 0.5\nz_hit: 0.5\n"}, {}),
     "old-motion-name": ({"robot_model_type": '"differential"'}, {},
                         {"robot_model_type": '"nav2_amcl::DifferentialMotionModel"'}, {}),
     "loaded-elsewhere": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
@@ -152,6 +157,8 @@ FINDINGS = {
     "wrong-type of a switch": ({"do_beamskip": "maybe"}, {}, {"do_beamskip": "yes"}, {}),
     "wrong-type in YAML 1.1": ({"stack": "ros1", "laser_z_hit": "1e-1"}, {},
                                {"stack": "ros1", "laser_z_hit": "1.0e-1"}, {}),
+    "wrong-type in a launch file": ({"text": WITHOUT.replace("0.95", "95e-2"), **ROBOT}, {},
+                                    {"text": WITHOUT.replace("0.95", "9.5e-1"), **ROBOT}, {}),
     "wrong-type in YAML 1.1 only in ROS 1": ({"stack": "ros1", "laser_z_hit": "5e-1"}, {}, {"z_hit": "5e-1"}, {}),
     "out-of-range of size": ({"sigma_hit": "1.0e-300"}, {}, {"sigma_hit": "1.0e-2"}, {}),
     "out-of-range of beams": ({"max_beams": 1}, {}, {"max_beams": 2}, {}),
@@ -277,7 +284,7 @@ OTHERS = {
     "unused-parameters of F1TENTH": (f1tenth, {"range_method": "rm", "theta_discretization": 112}, {},
                                      {"range_method": "glt", "theta_discretization": 112}, {}),
     "out-of-range in MRPT": (mrpt, {"LF_stdHit": 0.0}, {}, {"LF_stdHit": 0.1}, {}),
-    "wrong-type in F1TENTH": (f1tenth, {"range_method": "sphere"}, {}, {"range_method": "cddt"}, {}),
+    "unknown-name in F1TENTH": (f1tenth, {"range_method": "sphere"}, {}, {"range_method": "cddt"}, {}),
     "misspelt-name in MRPT": (mrpt, {"LF_maxCorrDistance": 0.3}, {}, {"LF_maxCorrsDistance": 0.3}, {}),
     "distance-limit in MRPT": (mrpt, {}, {}, {"LF_maxCorrsDistance": 1.0}, {}),
     "no-random-readings in MRPT": (mrpt, {"LF_zRandom": 0.0}, {}, {"LF_zRandom": 0.05}, {}),

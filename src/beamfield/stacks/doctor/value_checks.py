@@ -52,12 +52,33 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
             )  # fmt: skip
         elif fault == "model":
             yield _unknown_model(subject, value)
+        elif fault == "name":
+            yield subject.finding(
+                "unknown-name", "error", f"{name}: {message}",
+                "the node does not start, unless a plugin of yours has that name" if subject.file.is_typed
+                else subject.stack.wrong_type,
+                "write one of these names", own=name,
+            )  # fmt: skip
         else:
             yield subject.finding(
                 "wrong-type", "error", f"{name}: {message}",
                 "ROS 2 refuses the value: the node does not start" if subject.file.is_typed
                 else subject.stack.wrong_type,
                 "write a value of the right type", own=name,
+            )  # fmt: skip
+
+
+def given_again(subject: Subject) -> Iterator[Finding]:
+    """Find parameters that the file gives several times with different values, of which the last counts."""
+    own = {subject.file.name_in_file(name) for name in subject.stack.parameter_names}
+    for entry in subject.file.section.entries.values():
+        others = [(line, value) for line, value in entry.earlier if value != entry.value]
+        if others:
+            given = ", ".join(f"{value} in line {line}" for line, value in others)
+            yield subject.finding(
+                "given-again", "warning" if entry.name in own else "info", f"{entry.name} is {given}, and {entry.filled_in or entry.value} here",
+                "the last one counts, without a message: changes to the others have no effect",
+                "keep one", own=entry.name,
             )  # fmt: skip
 
 

@@ -10,6 +10,8 @@ from typing import Literal, NamedTuple
 
 from beamfield.errors import FormatError, InvalidInputError
 
+# How bytes that are no UTF-8 are kept, where a file may have them (Python's name for it).
+ODD_BYTES = "surrogateescape"
 # ROS 2 puts a node's parameters under this key.
 ROS_2_KEY = "ros__parameters"
 
@@ -49,6 +51,8 @@ class Entry:
         Where the value stands in the text; what lies between is replaced when the value changes.
     filled_in
         What stands in the file instead of the value, such as ``$(arg z_hit)``; "" if it is the value itself.
+    earlier
+        (line, value) of each place further up that gives the same parameter; the last one counts.
     """
 
     name: str
@@ -57,6 +61,7 @@ class Entry:
     start: int
     stop: int
     filled_in: str = ""
+    earlier: tuple[tuple[int, Value | None], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from PIL import Image
 from beamfield.cli.main import main
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.occupancy import OccupancyGrid
+from tests.io.mini_bag import MiniBag
 
 GOOD = """\
 amcl:
@@ -65,6 +66,17 @@ def test_the_doctor_looks_at_the_map(good, tmp_path, capsys):
     assert found["map-yaw-ignored"]["values"]["yaw"] == pytest.approx(0.2)
     assert found["half-cell-shift"]["values"] == {"shift": 0.25, "sigma": 0.2}
     assert found["foreign-name"]["parameter"] == "model_unknown_space"
+
+
+def test_the_doctor_looks_for_the_frames_of_a_bag(good, tmp_path, capsys):
+    good.write_text(GOOD + "    base_frame_id: base_footprint\n    odom_frame_id: odom\n")
+    bag = MiniBag().tf("base_link", "laser", 0.0, static=True)
+    for t in (1.0, 2.0):
+        bag.tf("odom", "base_link", t).scan(t)
+    assert main(["doctor", str(good), "--log", str(bag.write(tmp_path)), "--json"]) == 1
+    found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
+    assert found["frame-not-in-log"]["parameter"] == "base_frame_id"
+    assert found["frame-not-in-log"]["seen"].endswith("do not have, but base_link")
 
 
 def test_a_file_without_parameters_is_an_error_on_one_line(tmp_path, capsys):

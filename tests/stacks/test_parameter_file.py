@@ -441,7 +441,7 @@ def test_a_file_that_changed_meanwhile_is_left_alone(write):
         ("<launch><node></launch>", "p.launch", r"p\.launch:1: not valid XML: mismatched tag"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><launch/>', "p.launch", r"document types are not supported, got <!DOCTYPE a"),
         ("<launch/>", "p.launch", "no parameters of a measurement model found"),
-        ("amcl:\n  z_hit: 0.5\namcl:\n  z_rand: 0.5\n", "p.yaml", r"p\.yaml:3: duplicate key 'amcl', as in line 1: .* keep one"),
+        ("amcl: {z_hit: 1.0}\namcl: {a: 1}\n", "p.yaml", r"p\.yaml:2: duplicate key 'amcl', as in line 1: .* keep one"),
         ("[a]\nLF_stdHit=1\nLF_stdHit=2\n", "p.ini", r"p\.ini:3: LF_stdHit: duplicate name in \[a\]"),
         ("[a]\nnonsense\n", "p.ini", r"p\.ini:2: expected \[section\], name = value or a comment, got 'nonsense'"),
         ("[a]\nlikelihoodMethod = 77\n", "p.ini", r"p\.ini:2: likelihoodMethod: no model of mrpt .* got 77"),

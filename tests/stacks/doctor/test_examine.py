@@ -90,6 +90,15 @@ def reporting(value, fill):
     return replace(scans(fill), no_return=NoReturnPolicy((value,), origin="given"))
 
 
+FRAMES = "r1/odom", "r1/base_link", "r1/laser"
+
+
+def on(topic):
+    """Return scans of a topic."""
+    log = scans()
+    return replace(log, finder=replace(log.finder, name=topic))
+
+
 def some(value, share, other=3.0):
     """Return (k,) readings of which the first share has one value."""
     ranges = np.full(N_BEAMS, other)
@@ -145,6 +154,15 @@ FINDINGS = {
     "updates-far-apart in angle": ({"update_min_a": 1.1}, {}, {"update_min_a": 1.0}, {}),
     "particles-reversed": ({"min_particles": 500, "max_particles": 100}, {},
                            {"min_particles": 100, "max_particles": 500}, {}),
+    "frame-not-in-log": ({"base_frame_id": "base_footprint"}, {"frames": FRAMES}, {"base_frame_id": "base_link"},
+                         {"frames": FRAMES}),
+    "frame-not-in-log of odometry": ({"odom_frame_id": "odom_combined"}, {"frames": FRAMES},
+                                     {"odom_frame_id": "<robot_namespace>/odom"}, {"frames": FRAMES}),
+    "frame-not-in-log of none": ({"base_frame_id": "base"}, {"frames": FRAMES}, {"base_frame_id": "base"}, {}),
+    "other-scan-topic": ({"scan_topic": "scan_filtered"}, {"log": on("/robot1/scan")}, {"scan_topic": "scan"},
+                         {"log": on("/robot1/scan")}),
+    "other-scan-topic of a text log": ({"scan_topic": "front"}, {"log": on("/scan")}, {"scan_topic": "front"},
+                                       {"log": on("FLASER")}),
     "unknown-name": ({"robot_model_type": '"nav_amcl::DifferentialMotionModel"'}, {},
                      {"robot_model_type": '"nav2_amcl::OmniMotionModel"'}, {}),
     "given-again": ({"text": AGAIN, **ROBOT}, {}, {"text": AGAIN.replace('"0.9"', '"0.95"'), **ROBOT}, {}),

@@ -76,7 +76,8 @@ def given_again(subject: Subject) -> Iterator[Finding]:
         if others:
             given = ", ".join(f"{value} in line {line}" for line, value in others)
             yield subject.finding(
-                "given-again", "warning" if entry.name in own else "info", f"{entry.name} is {given}, and {entry.filled_in or entry.value} here",
+                "given-again", "warning" if entry.name in own else "info",
+                f"{entry.name} is {given}, and {entry.filled_in or entry.value} here",
                 "the last one counts, without a message: changes to the others have no effect",
                 "keep one", own=entry.name,
             )  # fmt: skip

@@ -172,6 +172,15 @@ def test_a_namespace_is_filled_in(write):
     assert read_stack_file(write(group)).section.label == "r1/amcl"
 
 
+def test_the_included_files_are_named_where_no_node_has_parameters(write):
+    files = "".join(f'<include file="{name}.launch"/>' for name in ("base", "amcl", "rviz"))
+    other = node(attributes='pkg="map_server" type="map_server" name="map"')
+    with pytest.raises(FormatError, match=r"no node with parameters of a measurement model, .* 'amcl\.launch'$"):
+        read_stack_file(write(files + other))
+    with pytest.raises(FormatError, match=r"included files .* 'base\.launch', 'rviz\.launch'$"):
+        read_stack_file(write(files.replace('<include file="amcl.launch"/>', "")))
+
+
 def test_all_files_that_have_the_parameters_are_named(write):
     files = '<rosparam file="filter.yaml"/><rosparam file="laser.yaml"/>'
     with pytest.raises(FormatError, match=r"not in this file but in 'filter\.yaml' and 'laser\.yaml': give that file"):

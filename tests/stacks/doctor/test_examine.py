@@ -457,11 +457,17 @@ def test_parameters_of_beam_skipping_in_belugas_file_are_one_finding(tmp_path):
 
 def test_advice_on_names_fits_the_stacks(tmp_path):
     assert "call it z_hit (values mean the same" in texts(examine(amcl(tmp_path, laser_z_hit=0.5)), "foreign-name")
-    assert "call it z_hit if the value is meant for beluga" in texts(
+    assert "call it z_hit if meant for beluga; if meant for ros1: beamfield translate" in texts(
         examine(amcl(tmp_path, "beluga", laser_z_hit=0.5)), "foreign-name"
     )
     both = texts(examine(amcl(tmp_path, laser_z_hit=0.5, z_hit=0.5)), "foreign-name")
     assert "default" not in both
+    # As where a file for ROS 1 was put into one for nav2.
+    ported = examine(amcl(tmp_path, laser_z_hit=0.5, laser_z_rand=0.5, laser_sigma_hit=0.1, z_rand=0.5))
+    assert [item.name for item in ported].count("foreign-name") == 1
+    assert "uses defaults for z_hit, sigma_hit call them z_hit, z_rand, sigma_hit (values" in texts(
+        ported, "foreign-name"
+    )
 
 
 def test_belugas_node_for_ros_1_is_known_by_its_own_names(tmp_path):

@@ -205,7 +205,9 @@ def _compose(yaml: YAML, text: str, path: Path) -> Node | None:
         if getattr(event, "anchor", None) is not None:
             mark = "*" if isinstance(event, AliasEvent) else "&"
             raise FormatError(
-                path, f"anchors and aliases are not supported, got {mark + str(event.anchor)!r}", line=line
+                path,
+                f"anchors and aliases are not supported, got {mark + str(event.anchor)!r}: write the values out",
+                line=line,
             )
         return event
 

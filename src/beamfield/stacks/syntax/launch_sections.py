@@ -20,6 +20,8 @@ from beamfield.stacks.syntax.rosparam_text import rosparam_values
 MAX_BYTES = 2_000_000
 # How a node's program may be called: what ROS 1 calls type, ROS 2 exec.
 _ENDINGS = ("", "_node", ".py")
+# What stands in the names of launch files with such a node.
+_LIKELY = ("amcl", "locali")
 _TAG = re.compile(r"<[^\s/>]+")
 _ATTRIBUTE = re.compile(r"""\s+([^\s=<>"']+)\s*=\s*("[^"]*"|'[^']*')""")
 
@@ -33,13 +35,22 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     is given several times the last counts, as for roslaunch: amcl's own example gives two of them twice.
 
     FormatError if the file is too large, no UTF-8, no XML, or declares entities (which can expand without bound); if a
-    node has text of ``<rosparam>`` that is not understood, or all its parameters in another file.
+    node has text of ``<rosparam>`` that is not understood, or all its parameters in another file, or if there is no
+    such node but an included file may have it.
     """
     content = read_at_most(path, MAX_BYTES, "a launch file").removeprefix(b"\xef\xbb\xbf")
     text = decoded(path, content)
-    nodes = _Parser(path, signs).nodes(content)
+    parser = _Parser(path, signs)
+    nodes = parser.nodes(content)
     chosen = [node for node in nodes if not signs.names.isdisjoint(node.params)]
     chosen = chosen or [node for node in nodes if node.localises]
+    if not chosen and parser.included:
+        likely = [name for name in parser.included if any(word in name.rsplit("/", 1)[-1] for word in _LIKELY)]
+        files = ", ".join(list(dict.fromkeys(map(repr, likely or parser.included)))[:5])
+        raise FormatError(
+            path,
+            f"no node with parameters of a measurement model, give the one of the included files that has it: {files}",
+        )
     for node in nodes:
         if node.fault is not None and (node.localises or node in chosen):
             raise node.fault
@@ -89,6 +100,7 @@ class _Parser:
         self.text_begins: tuple[int, int] | None = None
         # Whether within <include>, whose arguments are the other file's.
         self.including = False
+        self.included: list[str] = []
 
     def nodes(self, content: bytes) -> list[_Node]:
         self.content = content
@@ -114,6 +126,8 @@ class _Parser:
             namespace = "/".join(part for part in (namespace, given.strip("/")) if part)
         if there and tag == "arg" and not self.including:
             self.arguments.declare(attributes)
+        elif there and tag == "include":
+            self.included.append(attributes.get("file", ""))
         elif there and tag == "node":
             node = self.new_node(namespace, attributes)
         elif there and node is not None:

@@ -126,6 +126,17 @@ def test_translation_patches_the_users_file(good, tmp_path, capsys):
     assert "the old file is nav2.yaml.bak" in capsys.readouterr().out
 
 
+def test_a_patch_says_which_launch_arguments_it_replaced(good, tmp_path, capsys):
+    target = tmp_path / "amcl.launch"
+    tags = "".join(f'<param name="laser_{name}" value="$(arg {name})"/>' for name in ("z_hit", "z_rand"))
+    target.write_text(
+        f'<launch><arg name="z_hit" default="0.5"/><node pkg="amcl" type="amcl" name="amcl">{tags}</node></launch>'
+    )
+    assert main(["translate", str(good), "--to", "ros1", "--patch", str(target)]) == 0
+    assert '<param name="laser_z_hit" value="0.947236"/>' in target.read_text()
+    assert "note: replaced $(arg z_hit), $(arg z_rand) by values, which arguments at launch" in capsys.readouterr().err
+
+
 def test_translation_writes_a_launch_file_that_can_be_read(good, tmp_path):
     out = tmp_path / "amcl.launch"
     assert main(["translate", str(good), "--to", "ros1", "--out", str(out)]) == 0

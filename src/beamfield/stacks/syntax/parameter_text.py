@@ -113,6 +113,12 @@ class ParameterSection:
         """Return how many of these parameters the section has."""
         return sum(name in self.entries for name in names)
 
+    def arguments_replaced_by(self, values: Iterable[str]) -> str:
+        """Return what to say where parameters that a launch argument or the like gives get values; "" for none."""
+        replaced = dict.fromkeys(self.entries[name].filled_in for name in values if name in self.entries)
+        given = ", ".join(text for text in replaced if text)
+        return f"replaced {given} by values, which arguments at launch no longer change" if given else ""
+
     def error(self, name: str, message: str) -> FormatError:
         """Return the error of one parameter."""
         entry = self.entries.get(name)

@@ -173,6 +173,8 @@ FINDINGS = {
     "no-ros-parameters-key": ({"text": "amcl:\n  z_hit: 0.5\n"}, {}, {"z_hit": 0.5}, {}),
     "wrong-type of a list": ({"z_hit": "[0.5]"}, {}, {"z_hit": 0.5}, {}),
     "wrong-type of a switch": ({"do_beamskip": "maybe"}, {}, {"do_beamskip": "yes"}, {}),
+    "wrong-type of a switch in ROS 1": ({"stack": "ros1", "do_beamskip": 1}, {},
+                                        {"stack": "ros1", "do_beamskip": "true"}, {}),
     "wrong-type in YAML 1.1": ({"stack": "ros1", "laser_z_hit": "1e-1"}, {},
                                {"stack": "ros1", "laser_z_hit": "1.0e-1"}, {}),
     "wrong-type in a launch file": ({"text": WITHOUT.replace("0.95", "95e-2"), **ROBOT}, {},

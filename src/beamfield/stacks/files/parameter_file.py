@@ -70,9 +70,9 @@ class StackFile:
         return self.program.is_typed and not self.is_of_other_node
 
     @property
-    def rounds_counts(self) -> bool:
-        """Whether the program rounds a number with a fraction where it wants a whole one."""
-        return self.program.rounds_counts or self.is_of_other_node
+    def is_roscpp(self) -> bool:
+        """Whether ROS 1's C++ library reads the program's parameters."""
+        return self.program.is_roscpp or self.is_of_other_node
 
     @property
     def of_filter(self) -> StackFile:

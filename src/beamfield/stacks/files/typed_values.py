@@ -114,8 +114,10 @@ def _read(file: StackFile, entry: Entry, item: Field[Any]) -> tuple[Any, tuple[F
         message = "expected a number as ROS 1 reads it (1.0e-3: with a point and a signed exponent), got the text"
         return entry.value, ("type", f"{message} {text!r}")
     value = entry.value
-    if isinstance(item.default, int) and isinstance(value, float) and file.rounds_counts and math.isfinite(value):
+    if isinstance(item.default, int) and isinstance(value, float) and file.is_roscpp and math.isfinite(value):
         return math.floor(value + 0.5), None
+    if isinstance(item.default, bool) and not isinstance(value, (bool, str)) and file.is_roscpp:
+        return value, ("type", f"expected true or false, got {shorten(value)}")
     return _convert(entry, text, item, strict=file.is_typed)
 
 

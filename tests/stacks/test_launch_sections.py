@@ -144,17 +144,24 @@ def test_of_a_parameter_given_several_times_the_last_counts_and_is_the_one_that_
     assert {name: entry.value for name, entry in section.entries.items()} == {
         "laser_z_hit": 0.4, "laser_lambda_short": 0.2,
     }  # fmt: skip
-    assert section.entries["laser_z_hit"].earlier == ((3, 0.5),)
+    assert section.entries["laser_z_hit"].others == ((3, 0.5),)
     before = path.read_text()
     write_values(section, {"laser_z_hit": 0.6, "laser_lambda_short": 0.3})
     assert path.read_text() == before.replace('value="0.4"', 'value="0.6"').replace('value="0.2"', 'value="0.3"')
+
+
+def test_a_tag_counts_more_than_the_text_of_rosparam_below_it(write):
+    # roslaunch sets the tags of a node last (`_node_tag` in its xmlloader.py).
+    path = write(node(param("laser_z_hit", "0.4"), "<rosparam>laser_z_hit: 0.5</rosparam>"))
+    entry = read_stack_file(path).section.entries["laser_z_hit"]
+    assert (entry.value, entry.others) == (0.4, ((4, 0.5),))
 
 
 def test_what_may_be_there_does_not_replace_what_is(write):
     unsure = param("laser_z_hit", "0.9", 'if="$(arg outdoors)"')
     for tags in ((param("laser_z_hit", "0.1"), unsure), (unsure, param("laser_z_hit", "0.1"))):
         entry = read_stack_file(write(node(*tags))).section.entries["laser_z_hit"]
-        assert (entry.value, entry.earlier) == (0.1, ())
+        assert (entry.value, entry.others) == (0.1, ())
 
 
 def test_arguments_for_an_included_file_are_not_this_file_s(write):

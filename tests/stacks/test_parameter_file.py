@@ -361,7 +361,7 @@ def test_of_a_key_given_twice_the_last_counts_and_other_nodes_may_have_two(write
     text = "amcl:\n  ros__parameters:\n    z_hit: 0.4\n    z_rand: 0.5\n    z_hit: 0.6 # ours\n"
     path = write("planner: {a: 1}\n" + text + "planner: {a: 2, b: 3}\n")
     section = read_stack_file(path).section
-    assert (section.entries["z_hit"].value, section.entries["z_hit"].earlier) == (0.6, ((4, 0.4),))
+    assert (section.entries["z_hit"].value, section.entries["z_hit"].others) == (0.6, ((4, 0.4),))
     write_values(section, {"z_hit": 0.7, "sigma_hit": 0.1})
     changed = text.replace("0.6 # ours\n", "0.7 # ours\n    sigma_hit: 0.1\n")
     assert path.read_text() == "planner: {a: 1}\n" + changed + "planner: {a: 2, b: 3}\n"

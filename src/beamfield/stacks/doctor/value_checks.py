@@ -69,16 +69,16 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
 
 
 def given_again(subject: Subject) -> Iterator[Finding]:
-    """Find parameters that the file gives several times with different values, of which the last counts."""
+    """Find parameters that the file gives several times with different values, of which one counts."""
     own = {subject.file.name_in_file(name) for name in subject.stack.parameter_names}
     for entry in subject.file.section.entries.values():
-        others = [(line, value) for line, value in entry.earlier if value != entry.value]
+        others = [(line, value) for line, value in entry.others if value != entry.value]
         if others:
             given = ", ".join(f"{value} in line {line}" for line, value in others)
             yield subject.finding(
                 "given-again", "warning" if entry.name in own else "info",
                 f"{entry.name} is {given}, and {entry.filled_in or entry.value} here",
-                "the last one counts, without a message: changes to the others have no effect",
+                "only this one counts, without a message: changes to the others have no effect",
                 "keep one", own=entry.name,
             )  # fmt: skip
 

@@ -272,7 +272,7 @@ def _reads_as(path: Path, section: ParameterSection, values: Mapping[str, Value]
         len(found) == 1
         and found[0].entries.keys() == expected.keys()
         and all(_same(found[0].entries[name].value, value) for name, value in expected.items())
-        and all(len(found[0].entries[name].earlier) == len(old.earlier) for name, old in section.entries.items())
+        and all(len(found[0].entries[name].others) == len(old.others) for name, old in section.entries.items())
     )
 
 

@@ -32,7 +32,8 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     ``$(arg z_hit)`` is filled in with its default if the file has one; a value that nobody knows before the start is
     None. The text of ``<rosparam>`` counts like tags. Nodes and parameters whose ``if`` or ``unless`` takes them out by
     default are left out. A node with a parameter of the signs counts whatever its type is called. Of a parameter that
-    is given several times the last counts, as for roslaunch: amcl's own example gives two of them twice.
+    is given several times the last counts, a tag more than text, as for roslaunch: amcl's own example gives two of them
+    twice.
 
     FormatError if the file is too large, no UTF-8, no XML, or declares entities (which can expand without bound); if a
     node has text of ``<rosparam>`` that is not understood, or all its parameters in another file, or if there is no
@@ -69,7 +70,7 @@ class _Param(NamedTuple):
     is_unsure: bool
     # Where its value begins and ends in that text, in characters; None for that of a tag.
     span: tuple[int, int] | None = None
-    earlier: tuple[tuple[int, Value | None], ...] = ()
+    others: tuple[tuple[int, Value | None], ...] = ()
 
 
 @dataclass
@@ -198,7 +199,10 @@ class _Parser:
         if known is None or known.is_unsure:
             node.params[name] = param
         elif not param.is_unsure:
-            node.params[name] = param._replace(earlier=(*known.earlier, (known.line, known.value)))
+            # roslaunch sets what stands in tags when it has set all texts.
+            is_tag_before_text = known.span is None and param.span is not None
+            kept, other = (known, param) if is_tag_before_text else (param, known)
+            node.params[name] = kept._replace(others=(*known.others, (other.line, other.value)))
 
 
 def _section(path: Path, text: str, node: _Node, known: Set[str], places: dict[int, int]) -> ParameterSection:
@@ -217,7 +221,7 @@ def _section(path: Path, text: str, node: _Node, known: Set[str], places: dict[i
             if param.span is None
             else (at + param.span[0], at + param.span[1])
         )
-        entries[name] = Entry(name, param.value, param.line, start, stop, param.filled_in, param.earlier)
+        entries[name] = Entry(name, param.value, param.line, start, stop, param.filled_in, param.others)
     end = places[node.end]
     insert_at: int | None = None
     before = line_break(text)

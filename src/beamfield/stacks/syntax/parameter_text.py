@@ -51,8 +51,8 @@ class Entry:
         Where the value stands in the text; what lies between is replaced when the value changes.
     filled_in
         What stands in the file instead of the value, such as ``$(arg z_hit)``; "" if it is the value itself.
-    earlier
-        (line, value) of each place further up that gives the same parameter; the last one counts.
+    others
+        (line, value) of each other place that gives the same parameter; they do not count.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Entry:
     start: int
     stop: int
     filled_in: str = ""
-    earlier: tuple[tuple[int, Value | None], ...] = ()
+    others: tuple[tuple[int, Value | None], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,7 +85,7 @@ def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[st
             entry = Entry(name, None, line, start, stop, filled_in=value)
         else:
             entry = Entry(name, value if is_scalar else shorten(value), line, start, stop)
-        entries[name] = replace(entry, earlier=file.earlier.get((*place, name), ()))
+        entries[name] = replace(entry, others=file.earlier.get((*place, name), ()))
     label = ".".join(str(key) for key in place)
     at, before, after = _insertion(file, place, entries)
     return ParameterSection(file.path, "yaml", label, file.lines[place], file.source, entries, at, before, after)

@@ -144,3 +144,10 @@ def test_too_few_scans_say_where_the_others_went():
 def test_options_that_make_no_sense_are_refused():
     with pytest.raises(InvalidInputError, match="min_travel"):
         SelectionOptions(min_travel=-1.0)
+
+
+def test_of_more_beams_than_a_fit_needs_every_second_scan_is_used(monkeypatch):
+    monkeypatch.setattr("beamfield.calibration.selection.MOST_BEAMS", 60 * 5 - 1)
+    selection = select_scans(drive(), room())
+    assert selection.dropped == {"not needed": 30}
+    assert selection.used[::2].all()

@@ -27,7 +27,10 @@ REASONS = (
     "reference pose jumps",
     "turning too fast",
     "standing still",
+    "not needed",
 )
+# More beams only take memory and time: of so many, chance is the smallest error.
+MOST_BEAMS = 5_000_000
 
 
 @dataclass(frozen=True)
@@ -144,10 +147,18 @@ def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions 
     drop(_jumps(log, options), "reference pose jumps")
     drop(_turns_fast(log, options.max_turn_rate), "turning too fast")
     drop(_stands(log, reason < 0, options), "standing still")
+    drop(_not_needed(reason < 0, log.finder.n_beams), "not needed")
     selection = Selection(reason < 0, reason)
     if selection.used.sum() < options.min_scans:
         raise TooLittleDataError(f"{log.finder.name or 'log'}: {selection.describe()}; need {options.min_scans}")
     return selection
+
+
+def _not_needed(used: NDArray[np.bool_], n_beams: int) -> NDArray[np.bool_]:
+    """Scans besides every second, third, ... of those used, as few as leave MOST_BEAMS; none in logs of common length."""
+    needed, scans = np.zeros(len(used), bool), np.flatnonzero(used)
+    needed[scans[:: -(-len(scans) * n_beams // MOST_BEAMS)] if len(scans) else scans] = True
+    return np.asarray(used & ~needed)
 
 
 def _sensor_origins(log: SensorLog) -> FloatArray:

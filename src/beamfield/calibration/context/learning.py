@@ -212,9 +212,7 @@ def _exponent(values: Sequence[FloatArray], rivals: Rivals) -> float:
     return suited_exponent(np.array([each.coverage_at(LEVEL) for each in scores]))
 
 
-def _evidence(
-    model: RangeMixtureModel | LikelihoodFieldModel, log: SensorLog, windows: Sequence[Window]
-) -> BeamEvidence | FieldEvidence:
+def _evidence(model: RangeMixtureModel | LikelihoodFieldModel, log: SensorLog, windows: Sequence[Window]) -> Evidence:
     if isinstance(model, LikelihoodFieldModel):
         require(model.unknown == "free", "unknown", "a field with 'free'", model.unknown)
         return FieldEvidence(model, log, windows)

@@ -302,12 +302,8 @@ def _resolve(path: Path) -> list[Path]:
     return [path]
 
 
-def _storage_files(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.suffix in (".db3", ".mcap") and p.is_file())
-
-
 def _without_metadata(folder: Path) -> list[Path]:
-    files = _storage_files(folder)
+    files = sorted(p for p in folder.iterdir() if p.suffix in (".db3", ".mcap") and p.is_file())
     if not files:
         raise FormatError(
             folder, f"not a ROS 2 bag: no {METADATA}, .db3 or .mcap file in the folder; name a file in it"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from beamfield.arguments import require
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.io.bags.laser_scan import LaserScans
+from beamfield.io.bags.laser_scan import LaserScans, is_one_of
 from beamfield.io.no_return import NoReturnRule, ResolvedRanges
 from beamfield.sensors import NoReturnPolicy
 
@@ -139,12 +139,9 @@ def _find_repeated_maximum(ranges: FloatArray, min_range: float) -> float | None
 
 
 def _given(ranges: FloatArray, max_range: float, values: tuple[float, ...]) -> ResolvedRanges:
-    mask = np.zeros(ranges.shape, dtype=bool)
-    for value in values:
-        mask |= np.isnan(ranges) if np.isnan(value) else ranges == float(np.float32(value))
     listed = ", ".join(f"{v:.6g}" for v in values)
     why = f"are one of the given values ({listed})"
-    return _converted(ranges, max_range, mask, tuple(float(v) for v in values), "given", why)
+    return _converted(ranges, max_range, is_one_of(ranges, values), tuple(float(v) for v in values), "given", why)
 
 
 def _converted(ranges: FloatArray, max_range: float, mask: NDArray[np.bool_], values: tuple[float, ...], origin: str,

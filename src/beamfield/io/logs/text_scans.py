@@ -173,6 +173,7 @@ class TextScans:
             masked, rule=options.no_return, declared_max=declared_max, max_range=options.max_range
         )
         z = np.array(resolved.ranges)
+        z[:, stuck] = np.nan
         notes = [*time.notes, *(f"{self.name}: {note}" for note in resolved.notes)]
         for beam in np.flatnonzero(stuck):
             value = float(raw[0, beam])

@@ -18,15 +18,15 @@ from beamfield.short_repr import short_repr
 LEAST_GAIN = 0.005
 
 
-def _normalized(z_hit: float, z_short: float, z_max: float, z_rand: float, sigma: float, rate: float) -> BeamParameters:
+def _normalized(z_hit: float, z_short: float, z_max: float, z_rand: float) -> BeamParameters:
     total = z_hit + z_short + z_max + z_rand
-    return BeamParameters(z_hit / total, z_short / total, z_max / total, z_rand / total, sigma, rate)
+    return BeamParameters(z_hit / total, z_short / total, z_max / total, z_rand / total, 0.2, 0.1)
 
 
 # Defaults of the stacks' beam models; their weights sum to 1.1 and 1.15, so they are normalised to be densities.
 DEFAULTS: Mapping[str, BeamParameters] = {
-    "nav2 defaults": _normalized(0.5, 0.05, 0.05, 0.5, 0.2, 0.1),
-    "ROS 1 defaults": _normalized(0.95, 0.1, 0.05, 0.05, 0.2, 0.1),
+    "nav2 defaults": _normalized(0.5, 0.05, 0.05, 0.5),
+    "ROS 1 defaults": _normalized(0.95, 0.1, 0.05, 0.05),
 }
 
 

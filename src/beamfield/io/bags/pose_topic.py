@@ -85,7 +85,7 @@ class PoseTopicCollector:
 
 
 def poses_at(track: Track, stamps: FloatArray,
-             odometry_at: Callable[[FloatArray], FloatArray] | None = None) -> tuple[FloatArray, bool]:  # fmt: skip
+             odometry_at: Callable[[FloatArray], FloatArray] | None) -> tuple[FloatArray, bool]:  # fmt: skip
     """Return the poses (n, 3) of a track in the map at other times, and whether odometry bridged its gaps.
 
     A localiser publishes a pose when it has updated, every few decimetres, and none while the robot stands. Between two

@@ -74,7 +74,7 @@ def precompute_ranges(
     return table_in_file(path, plan, progress)
 
 
-def table_in_file(path: str | os.PathLike[str], plan: RangeTablePlan, progress: Progress | None = None) -> RangeTable:
+def table_in_file(path: str | os.PathLike[str], plan: RangeTablePlan, progress: Progress | None) -> RangeTable:
     """Do what `precompute_ranges` does, for a plan."""
     # Read at the end, too, as another program may have put its own there in the meantime.
     while (table := _current(Path(path), plan)) is None:

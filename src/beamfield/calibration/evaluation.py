@@ -92,22 +92,9 @@ def log_density(table: BeamTable, parameters: BeamParameters) -> FloatArray:
 
 
 def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float:
-    """Return the standard error of a mean whose terms depend on each other within blocks.
+    """Return the standard error of a mean whose terms (n,) depend on each other within blocks, whose numbers are (n,).
 
-    Parameters
-    ----------
-    values
-        (n,) terms.
-    blocks
-        (n,) block of each.
-
-    Returns
-    -------
-    In the unit of the values; NaN for one block, or with terms that are not finite.
-
-    Examples
-    --------
-    Four values that are really two, each counted twice:
+    NaN for one block, or with terms that are not finite. Four values that are really two, each counted twice:
 
     >>> values = np.array([1.0, 1.0, 3.0, 3.0])
     >>> block_standard_error(values, np.arange(4)) < block_standard_error(values, np.array([0, 0, 1, 1]))
@@ -138,14 +125,8 @@ def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.
 
 
 def pit_deviation(pit: FloatArray) -> float:
-    """Return the largest distance between the PIT's distribution and the uniform one (Kolmogorov's statistic).
+    """Return the largest distance between the PIT's distribution and the uniform one (Kolmogorov's statistic), or NaN.
 
-    Returns
-    -------
-    In [0, 1]; NaN without numbers.
-
-    Examples
-    --------
     >>> pit_deviation(np.array([0.25, 0.5, 0.75, 1.0]))
     0.25
     """

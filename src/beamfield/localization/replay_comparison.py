@@ -67,21 +67,9 @@ class ReplayTrials:
         return len(self.seeds)
 
     def column(self, measure: str) -> FloatArray:
-        """Return one number of all runs.
+        """Return one number of all runs, in the order of the seeds: a field of `ReplayErrors`, else InvalidInputError.
 
-        Parameters
-        ----------
-        measure
-            A field of `ReplayErrors`.
-
-        Returns
-        -------
-        (n,) in the order of the seeds; NaN where the processor time was not taken.
-
-        Raises
-        ------
-        InvalidInputError
-            If there is no such field.
+        NaN where the processor time was not taken.
         """
         if measure not in MEASURES:
             raise InvalidInputError(f"measure: expected one of {', '.join(MEASURES)}, got {measure!r}")

@@ -67,18 +67,8 @@ def nearest_beams(geometry: ScanGeometry, grid: ScanGeometry) -> NearestBeams:
     """Find for each bearing of a grid the nearest beam of a scan, within half a step of the grid.
 
     A reading is used once or not at all, and none is made up between two: a bearing without a beam is left out. Nothing
-    is interpolated because the mean of a near and a far reading is where neither of them was.
-
-    Parameters
-    ----------
-    geometry
-        Of the scan.
-    grid
-        Of the scans that it is to be like.
-
-    Returns
-    -------
-    Pairs of indices; none if the scan looks elsewhere.
+    is interpolated because the mean of a near and a far reading is where neither of them was. No pairs of indices if
+    the scan looks elsewhere.
     """
     # A single beam has no step to its neighbour.
     step = grid.increment if grid.n_beams > 1 else 2.0 * BEARING_TOLERANCE
@@ -119,15 +109,7 @@ class GriddedScans(NamedTuple):
 
 
 def on_one_grid(ranges: Sequence[NDArray[np.float32]], geometries: Sequence[ScanGeometry]) -> GriddedScans:
-    """Bring scans onto the usual one of their grids, each beam to the nearest bearing.
-
-    Parameters
-    ----------
-    ranges
-        (k_i,) metres of each scan.
-    geometries
-        Its beams.
-    """
+    """Bring scans, (k_i,) metres each, onto the usual one of their grids, each beam to the nearest bearing."""
     grid = usual_geometry(geometries)
     pairs: dict[ScanGeometry, NearestBeams] = {}
     gridded = np.full((len(ranges), grid.n_beams), np.nan, dtype=np.float32)

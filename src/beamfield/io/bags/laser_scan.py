@@ -302,24 +302,10 @@ def is_one_of(ranges: FloatArray, values: Iterable[float]) -> NDArray[np.bool_]:
 
 
 def ordered_stamps(stamps: FloatArray, path: Path, topic: str, notes: list[str]) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return stamps sorted, and the order that sorts them.
+    """Return stamps (t,) sorted, and the order that sorts them.
 
-    Messages may overtake each other on the way to the recorder: that is sorted, and a note says so. A clock that runs
-    backwards is an error.
-
-    Parameters
-    ----------
-    stamps
-        (t,) seconds in the order of recording.
-    path, topic
-        For errors.
-    notes
-        Where to add a note.
-
-    Raises
-    ------
-    FormatError
-        If a stamp lies more than `STAMP_TOLERANCE` before one that was recorded earlier.
+    Messages may overtake each other on the way to the recorder: that is sorted, and a note added that says so. A clock
+    that runs backwards, by more than `STAMP_TOLERANCE`, is a FormatError.
     """
     latest = np.maximum.accumulate(stamps)
     behind = latest - stamps

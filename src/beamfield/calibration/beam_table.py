@@ -137,19 +137,8 @@ def join_tables(parts: Sequence[BeamTable]) -> BeamTable:
 class BeamCaster:
     """Makes a beam table of a few scans at a time, for logs whose table would not fit into memory.
 
-    Parameters
-    ----------
-    grid
-        The map.
-    finder
-        The sensor; other sensors may be cast too, if theirs are beams or cones as well.
-    unknown
-        As for `build_beam_table`.
-
-    Raises
-    ------
-    InvalidInputError
-        If the map has no obstacle.
+    Other sensors than the finder may be cast too, if theirs are beams or cones as well; `unknown` is that of
+    `build_beam_table`. InvalidInputError if the map has no obstacle.
     """
 
     def __init__(self, grid: OccupancyGrid, finder: RangeFinder, unknown: UnknownRule = "skip") -> None:

@@ -42,20 +42,9 @@ def uniform_parameters(max_share: float) -> BeamParameters:
 
 @dataclass(frozen=True)
 class ModelScore:
-    """Held-out score of one set of parameters.
+    """Held-out score of one set of parameters: mean nats per beam, with a standard error from blocks of time.
 
-    Parameters
-    ----------
-    name
-        Which parameters.
-    parameters
-        The parameters.
-    log_likelihood
-        Mean log-likelihood per held-out beam, nats.
-    standard_error
-        Standard error of that mean, from blocks of time.
-    behind_fit, behind_fit_se
-        How much less than the fit per beam, nats, and the standard error of this difference.
+    `behind_fit` tells how much less than the fit's it is, with the standard error of this difference.
     """
 
     name: str
@@ -151,19 +140,7 @@ def likely_causes(table: BeamTable, parameters: BeamParameters) -> NDArray[np.in
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Mean log-likelihood per beam, scan by scan.
-
-    Parameters
-    ----------
-    scan
-        (s,) index in the log.
-    stamps
-        (s,) seconds.
-    log_likelihood
-        (s,) nats per beam.
-    held_out
-        (s,) whether the scan was held out.
-    """
+    """Mean log-likelihood per beam in nats, scan by scan: columns (s,) of scans in the log, some held out."""
 
     scan: NDArray[np.int64]
     stamps: FloatArray

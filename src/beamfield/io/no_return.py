@@ -29,18 +29,9 @@ TOLERANCE = 5e-4  # metres within which a reading is a given value: half a step 
 
 @dataclass(frozen=True, eq=False)
 class ResolvedRanges:
-    """Ranges in the conventions of `Scan`, the limit they need, and what was done.
+    """Ranges (t, k) in the conventions of `Scan`, the limit in metres that they need, and what was done.
 
-    Parameters
-    ----------
-    ranges
-        (t, k) metres; +inf: no return; NaN: no measurement.
-    max_range
-        The sensor's limit in metres.
-    policy
-        What meant "no return".
-    notes
-        What a user should know besides.
+    The policy is what meant "no return"; the notes are what a user should know besides.
     """
 
     ranges: FloatArray

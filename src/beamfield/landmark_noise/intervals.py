@@ -27,16 +27,9 @@ _MOST_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class NoiseIntervals:
-    """95% intervals from a bootstrap of blocks.
+    """95% intervals and standard errors per learned parameter, from a bootstrap of blocks of time or place.
 
-    Parameters
-    ----------
-    intervals
-        (low, high) per learned parameter; empty where there is one block only.
-    standard_errors
-        Standard error per learned parameter.
-    n_blocks
-        Stretches of time or place that were resampled.
+    There are no intervals where there is one block only.
     """
 
     intervals: Mapping[str, tuple[float, float]]

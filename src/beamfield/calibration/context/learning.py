@@ -32,17 +32,7 @@ REACH = 5.0
 
 @dataclass(frozen=True)
 class ContextScore:
-    """How the posteriors of one set of parameters do on held-out windows.
-
-    Parameters
-    ----------
-    name
-        Which parameters.
-    parameters, exponent
-        The parameters, and how much beams count.
-    scores
-        Of the held-out windows.
-    """
+    """How the posteriors of one set of parameters, with how much beams count, do on the held-out windows."""
 
     name: str
     parameters: BeamParameters | LikelihoodFieldParameters

@@ -41,20 +41,9 @@ _POSITIONS = {
 
 @dataclass(frozen=True)
 class LearningProblem:
-    """Free parameters, bounds and priors, in the order of the working vector.
+    """Free parameters, bounds and priors, in the order of the working vector, (8,) each.
 
-    Parameters
-    ----------
-    max_range, min_range
-        Limits of the sensor, metres.
-    free
-        Which entries are learned, bool (8,).
-    held
-        Values of the entries that are not, NaN elsewhere, shape (8,).
-    lower, upper
-        Bounds, shape (8,).
-    priors
-        Priors; the default says nothing.
+    `held` has the values of the entries that are not learned, NaN elsewhere. The sensor's limits are in metres.
     """
 
     max_range: float

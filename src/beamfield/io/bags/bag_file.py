@@ -38,20 +38,10 @@ def _without_yaml_warnings() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class BagMessage:
-    """One message of a bag.
+    """One message of a topic, and when it was recorded, seconds.
 
-    Parameters
-    ----------
-    topic
-        Where it was published.
-    msgtype
-        Its type, as in ROS 2: ``sensor_msgs/msg/LaserScan``.
-    number
-        Its number within the topic, from 1, in the order of recording.
-    recorded
-        When it was recorded, seconds.
-    content
-        The message, with the fields of its type.
+    Its type is named as in ROS 2 (``sensor_msgs/msg/LaserScan``), its number counts the topic's messages from 1 in the
+    order of recording, and its content has the fields of its type.
     """
 
     topic: str

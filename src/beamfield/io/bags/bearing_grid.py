@@ -46,16 +46,9 @@ def usual_geometry(geometries: Sequence[ScanGeometry]) -> ScanGeometry:
 
 
 class NearestBeams(NamedTuple):
-    """Which beams of a scan lie nearest to which bearings of a grid.
+    """Which beams (m,) of a scan lie nearest to which bearings of a grid, indices (m,).
 
-    Parameters
-    ----------
-    grid
-        (m,) indices into the grid.
-    beams
-        (m,) the beams of the scan that take their place.
-    moved
-        By how much the bearing of any of these changes, at most, radians.
+    `moved` tells by how much the bearing of any of these changes, at most, radians.
     """
 
     grid: NDArray[np.int64]
@@ -88,18 +81,9 @@ def nearest_beams(geometry: ScanGeometry, grid: ScanGeometry) -> NearestBeams:
 
 
 class GriddedScans(NamedTuple):
-    """Scans on one grid of bearings.
+    """Scans on one grid of bearings: ranges (t, k) in metres, NaN where a scan has no beam.
 
-    Parameters
-    ----------
-    ranges
-        (t, k) metres; NaN where a scan has no beam.
-    grid
-        Their bearings.
-    notes
-        What was done to them; empty if nothing was.
-    elsewhere
-        The first scan of which no beam is on the grid, if there is one.
+    The notes say what was done to them, if anything was; `elsewhere` is the first scan of which no beam is on the grid.
     """
 
     ranges: NDArray[np.float32]

@@ -56,16 +56,11 @@ class Transforms:
 
 
 class TransformBuffer:
-    """All transforms of a log, and the frames that they connect.
+    """All transforms of a log, and the frames that they connect; the path is for errors.
 
-    A leading slash of a frame's name, as ROS 1 has it, is dropped. Where a frame has several parents the shortest
-    chain is taken. Interpolation is linear for positions and spherical for orientations, between the two neighbours
-    in time, and never beyond the first or last of them, as tf2 does it.
-
-    Parameters
-    ----------
-    path
-        The file, to name it in errors.
+    A leading slash of a frame's name, as ROS 1 has it, is dropped. Where a frame has several parents the shortest chain
+    is taken. Interpolation is linear for positions and spherical for orientations, between the two neighbours in time,
+    and never beyond the first or last of them, as tf2 does it.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -145,18 +145,11 @@ class LaserScans:
 
 @dataclass(eq=False)
 class LaserScanCollector:
-    """Collects the messages of one topic and checks that they belong together.
+    """Collects the messages of one topic and checks that they belong together; path and topic are for errors.
 
     The direction of beam i is ``angle_min + i angle_increment``, computed in float64 from the float32 fields, whose
     rounding leaves it less than 1e-6 radians off. The increment may be negative. The number of beams and their
     directions may change from scan to scan, as those of lidars do whose motor runs freely; see `on_one_grid`.
-
-    Parameters
-    ----------
-    path
-        The bag, for errors.
-    topic
-        The topic, for errors.
     """
 
     path: Path

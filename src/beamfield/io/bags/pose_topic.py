@@ -28,16 +28,8 @@ SPARSE = 0.2  # seconds: poses further apart than this are bridged by odometry, 
 class PoseTopicCollector:
     """Collects the poses of one topic; they are checked when they are used, so that unused ones cannot stop a reader.
 
-    Parameters
-    ----------
-    path
-        The bag, for errors.
-    topic
-        The topic.
-    frame, child
-        The frames of the first message; `child` is empty where the type or the publisher does not say it.
-    is_odometry
-        Whether the messages are nav_msgs/Odometry.
+    Path and topic are for errors. The frames are those of the first message; `child` is empty where the type or the
+    publisher does not say it.
     """
 
     path: Path

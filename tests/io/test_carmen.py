@@ -263,6 +263,8 @@ def test_a_beam_that_is_stuck_while_the_robot_moves_is_no_measurement(tmp_path):
     assert np.isnan(log.only_sensor().ranges[:, 3]).all()
     assert np.isfinite(log.only_sensor().ranges[:, :3]).all()
     assert any("beam 3 reads 7 m in all 60 scans" in note for note in log.notes)
+    seen = read_one(tmp_path, *lines, no_return=(np.nan,)).ranges
+    assert np.isnan(seen[:, 3]).all()
     still = [flaser(i, "1 2 3 4", laser="0 0 0", robot="0 0 0") for i in range(60)]
     assert np.isfinite(read_one(tmp_path, *still, no_return="none").ranges).all()
 

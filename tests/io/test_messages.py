@@ -51,6 +51,11 @@ def test_values_that_mean_no_return_are_those_of_float32():
     assert bf.scan_from_message(message).ranges[1] == 0.0
 
 
+def test_no_measurement_may_mean_no_return():
+    message = laser_scan(ranges=np.array([np.nan, 0.0, 5.5], np.float32))
+    assert bf.scan_from_message(message, no_return=(np.nan,)).ranges.tolist() == [np.inf, 0.0, 5.5]
+
+
 @pytest.mark.parametrize("declared", [0.0, np.inf, 30.0])
 def test_the_callers_limit_takes_the_place_of_the_messages(declared):
     message = laser_scan(ranges=np.array([5.6, 5.5, np.inf], np.float32), range_max=declared)

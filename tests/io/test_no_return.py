@@ -171,6 +171,13 @@ def test_the_user_names_the_values(rng):
     assert found.max_range > 12.34
 
 
+def test_no_measurement_may_mean_no_return(rng):
+    z, mask = with_share(rng, readings(rng), np.nan, 0.2)
+    found = resolve_no_return(z, rule=(np.nan,), max_range=82.0)
+    np.testing.assert_array_equal(np.isposinf(found.ranges), mask)
+    assert found.policy.share == mask.mean()
+
+
 def test_a_given_value_at_the_top_is_the_limit(rng):
     z, _ = with_share(rng, readings(rng), 81.83, 0.05)
     assert resolve_no_return(z, rule=(81.83,)).max_range == 81.83

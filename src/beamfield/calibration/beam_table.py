@@ -108,29 +108,14 @@ def build_beam_table(
     unknown: UnknownRule = "skip",
     progress: Progress | None = None,
 ) -> BeamTable:
-    """Cast the beams of the given scans from their reference poses; cones, if the sensor has an opening angle.
+    """Cast the beams of scans (indices or a mask) at their reference poses; cones, if the sensor has an opening angle.
 
-    Parameters
-    ----------
-    log, grid
-        Scans with reference poses, and the map.
-    scans
-        Indices or mask of the scans to use.
-    unknown
-        What a ray does in unknown cells: "skip" leaves out beams whose ray enters unknown space before an obstacle
-        (their expected range is not known); "free" passes through; "occupied" stops there. A cone is left out if its
-        axis enters unknown space nearer than its expected range: some cell beside the axis nearly always is unknown.
-    progress
-        Called with (done, total) scans.
+    One row per beam with a measurement and an expected range, scan by scan. InvalidInputError if the map has no
+    obstacle, or a scan has no finite pose.
 
-    Returns
-    -------
-    One row per beam with a measurement and an expected range, scan by scan.
-
-    Raises
-    ------
-    InvalidInputError
-        If the map has no obstacle, or a scan has no finite pose.
+    `unknown` says what a ray does in unknown cells: "skip" leaves out beams whose ray enters unknown space before an
+    obstacle (their expected range is not known); "free" passes through; "occupied" stops there. A cone is left out if
+    its axis enters unknown space nearer than its expected range: some cell beside the axis nearly always is unknown.
     """
     chosen = np.arange(len(log))[np.asarray(scans)]
     caster = BeamCaster(grid, log.finder, unknown)
@@ -152,19 +137,8 @@ def join_tables(parts: Sequence[BeamTable]) -> BeamTable:
 class BeamCaster:
     """Makes a beam table of a few scans at a time, for logs whose table would not fit into memory.
 
-    Parameters
-    ----------
-    grid
-        The map.
-    finder
-        The sensor; other sensors may be cast too, if theirs are beams or cones as well.
-    unknown
-        As for `build_beam_table`.
-
-    Raises
-    ------
-    InvalidInputError
-        If the map has no obstacle.
+    Other sensors than the finder may be cast too, if theirs are beams or cones as well; `unknown` is that of
+    `build_beam_table`. InvalidInputError if the map has no obstacle.
     """
 
     def __init__(self, grid: OccupancyGrid, finder: RangeFinder, unknown: UnknownRule = "skip") -> None:

@@ -30,21 +30,9 @@ def jackknife_error(replicates: FloatArray) -> FloatArray:
 def block_interval(value: float, standard_error: float, n_blocks: int, *, most: float = np.inf) -> tuple[float, float]:
     """Return the 95% interval of a positive parameter, symmetric in its logarithm, or in its logit if it has a limit.
 
-    Parameters
-    ----------
-    value, standard_error
-        The estimate, and its standard error from blocks.
-    n_blocks
-        Their number, at least 2.
-    most
-        The parameter's upper limit, 1 for weights.
+    The standard error is from 2 or more blocks; the interval is by Student's t: few blocks vary less than their
+    population. `most` is the parameter's upper limit, 1 for weights.
 
-    Returns
-    -------
-    (low, high), by Student's t: few blocks vary less than their population.
-
-    Examples
-    --------
     >>> low, high = block_interval(0.5, 0.1, 10, most=1.0)
     >>> round(low, 3), round(high, 3)
     (0.288, 0.712)

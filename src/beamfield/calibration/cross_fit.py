@@ -54,25 +54,8 @@ class CrossFitMaps:
 def build_cross_fit_maps(log: SensorLog, *, resolution: float = 0.05, progress: Progress | None = None) -> CrossFitMaps:
     """Draw a map from each half of a log's scans: five in a row go to one half, the next five to the other.
 
-    Parameters
-    ----------
-    log
-        Scans with reference poses.
-    resolution
-        Side of a cell, metres.
-    progress
-        Called with (stage, done, total).
-
-    Returns
-    -------
-    The two maps, the half of each scan, and a map of all scans.
-
-    Raises
-    ------
-    InvalidInputError
-        If the log has no reference poses or the resolution is no size of a cell.
-    TooLittleDataError
-        If there are too few scans for two halves.
+    `progress` is called with (stage, done, total). InvalidInputError if the log has no reference poses or the
+    resolution is no size of a cell; TooLittleDataError if there are too few scans for two halves.
     """
     if not log.has_poses:
         raise InvalidInputError(

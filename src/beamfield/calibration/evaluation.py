@@ -18,15 +18,15 @@ from beamfield.short_repr import short_repr
 LEAST_GAIN = 0.005
 
 
-def _normalized(z_hit: float, z_short: float, z_max: float, z_rand: float, sigma: float, rate: float) -> BeamParameters:
+def _normalized(z_hit: float, z_short: float, z_max: float, z_rand: float) -> BeamParameters:
     total = z_hit + z_short + z_max + z_rand
-    return BeamParameters(z_hit / total, z_short / total, z_max / total, z_rand / total, sigma, rate)
+    return BeamParameters(z_hit / total, z_short / total, z_max / total, z_rand / total, 0.2, 0.1)
 
 
 # Defaults of the stacks' beam models; their weights sum to 1.1 and 1.15, so they are normalised to be densities.
 DEFAULTS: Mapping[str, BeamParameters] = {
-    "nav2 defaults": _normalized(0.5, 0.05, 0.05, 0.5, 0.2, 0.1),
-    "ROS 1 defaults": _normalized(0.95, 0.1, 0.05, 0.05, 0.2, 0.1),
+    "nav2 defaults": _normalized(0.5, 0.05, 0.05, 0.5),
+    "ROS 1 defaults": _normalized(0.95, 0.1, 0.05, 0.05),
 }
 
 
@@ -42,20 +42,9 @@ def uniform_parameters(max_share: float) -> BeamParameters:
 
 @dataclass(frozen=True)
 class ModelScore:
-    """Held-out score of one set of parameters.
+    """Held-out score of one set of parameters: mean nats per beam, with a standard error from blocks of time.
 
-    Parameters
-    ----------
-    name
-        Which parameters.
-    parameters
-        The parameters.
-    log_likelihood
-        Mean log-likelihood per held-out beam, nats.
-    standard_error
-        Standard error of that mean, from blocks of time.
-    behind_fit, behind_fit_se
-        How much less than the fit per beam, nats, and the standard error of this difference.
+    `behind_fit` tells how much less than the fit's it is, with the standard error of this difference.
     """
 
     name: str
@@ -92,22 +81,9 @@ def log_density(table: BeamTable, parameters: BeamParameters) -> FloatArray:
 
 
 def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float:
-    """Return the standard error of a mean whose terms depend on each other within blocks.
+    """Return the standard error of a mean whose terms (n,) depend on each other within blocks, whose numbers are (n,).
 
-    Parameters
-    ----------
-    values
-        (n,) terms.
-    blocks
-        (n,) block of each.
-
-    Returns
-    -------
-    In the unit of the values; NaN for one block, or with terms that are not finite.
-
-    Examples
-    --------
-    Four values that are really two, each counted twice:
+    NaN for one block, or with terms that are not finite. Four values that are really two, each counted twice:
 
     >>> values = np.array([1.0, 1.0, 3.0, 3.0])
     >>> block_standard_error(values, np.arange(4)) < block_standard_error(values, np.array([0, 0, 1, 1]))
@@ -138,14 +114,8 @@ def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.
 
 
 def pit_deviation(pit: FloatArray) -> float:
-    """Return the largest distance between the PIT's distribution and the uniform one (Kolmogorov's statistic).
+    """Return the largest distance between the PIT's distribution and the uniform one (Kolmogorov's statistic), or NaN.
 
-    Returns
-    -------
-    In [0, 1]; NaN without numbers.
-
-    Examples
-    --------
     >>> pit_deviation(np.array([0.25, 0.5, 0.75, 1.0]))
     0.25
     """
@@ -170,19 +140,7 @@ def likely_causes(table: BeamTable, parameters: BeamParameters) -> NDArray[np.in
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Mean log-likelihood per beam, scan by scan.
-
-    Parameters
-    ----------
-    scan
-        (s,) index in the log.
-    stamps
-        (s,) seconds.
-    log_likelihood
-        (s,) nats per beam.
-    held_out
-        (s,) whether the scan was held out.
-    """
+    """Mean log-likelihood per beam in nats, scan by scan: columns (s,) of scans in the log, some held out."""
 
     scan: NDArray[np.int64]
     stamps: FloatArray

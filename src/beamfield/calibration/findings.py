@@ -110,7 +110,7 @@ def left_out_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
             f"{nan:.1%} of the readings are NaN (no measurement) and were left out.",
             {"n": float(table.n_nan), "share": nan},
             why="If this sensor reports a missing return as NaN, they are missing from z_max.",
-            do="Then read the log with no_return='nan'.",
+            do="Then pass NaN as no_return when the log is read.",
         )
     if close > NOTABLE_SHARE_LEFT_OUT:
         yield Finding(

@@ -101,28 +101,10 @@ class Selection:
 
 
 def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions | None = None) -> Selection:
-    """Select the scans whose reference pose and readings a model can be learned from.
+    """Select the scans whose reference pose and readings a model can be learned from, and say why others are dropped.
 
-    Parameters
-    ----------
-    log
-        Scans with reference poses in the map frame.
-    grid
-        The map.
-    options
-        What counts as moving and plausible.
-
-    Returns
-    -------
-    Selection
-        The scans used, and why each other was dropped.
-
-    Raises
-    ------
-    InvalidInputError
-        If the log has no reference poses at all, all of it lies off the map, or readings are longer than the map.
-    TooLittleDataError
-        If fewer than `options.min_scans` scans remain.
+    InvalidInputError if the log has no reference poses at all, all of it lies off the map, or readings are longer than
+    the map; TooLittleDataError if fewer than `options.min_scans` scans remain.
     """
     options = options or SelectionOptions()
     if not log.has_poses:

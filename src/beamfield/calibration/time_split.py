@@ -17,26 +17,11 @@ FEWEST_TRUSTED_BLOCKS = 8
 
 
 def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.int64]:
-    """Return the number of the time block of each stamp, counted from 0.
+    """Return the number of the time block of each stamp (n,), counted from 0; all 0 if no time passes.
 
-    Parameters
-    ----------
-    stamps
-        (n,) seconds, in any order.
-    block_s
-        Length of a block in seconds; None: 20 s, or shorter so that the log has at least 12 blocks.
+    A block is `block_s` seconds long; None: 20 s, or shorter so that the log has at least 12 blocks. InvalidInputError
+    if a stamp is not finite, or the length is not positive.
 
-    Returns
-    -------
-    (n,) numbers; all 0 if no time passes.
-
-    Raises
-    ------
-    InvalidInputError
-        If a stamp is not finite, or the length is not positive.
-
-    Examples
-    --------
     >>> time_blocks([0.0, 4.0, 11.0, 30.0], block_s=10.0).tolist()
     [0, 0, 1, 2]
     """

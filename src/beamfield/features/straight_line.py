@@ -67,27 +67,12 @@ def fit_line(sweep: Sweep, places: ArrayLike, noise: RangeNoise, *, number: int 
 
     The distance d_i of a point from the line has deviation s_i, which is sigma_range times the cosine of incidence
     (plus the share of sigma_bearing); Gauss-Newton minimises the sum of (d_i / s_i)^2 over (rho, alpha), and the
-    covariance is the inverse of its normal matrix. The length depends on the first and last reading, which also
-    enter the line: its covariance with (rho, alpha) is kept.
+    covariance is the inverse of its normal matrix. The length depends on the first and last reading, which also enter
+    the line: its covariance with (rho, alpha) is kept.
 
-    Parameters
-    ----------
-    sweep
-        Beams in order.
-    places
-        (n,) which of them, at least 2, in the order of the wall.
-    noise
-        Of single readings.
-    number
-        Kept in the line as `sweep`.
+    `places` (n,) tells which end points of the sweep, in the order of the wall; `number` is kept as the line's `sweep`.
+    InvalidInputError if there are fewer than 2 places, or they all are one point.
 
-    Raises
-    ------
-    InvalidInputError
-        If there are fewer than 2 places, or they all are one point.
-
-    References
-    ----------
     K. O. Arras and R. Siegwart, "Feature extraction and scene interpretation for map-based navigation and map
     building", SPIE Mobile Robotics XII, 1997 (lines in polar form, with covariance).
     """

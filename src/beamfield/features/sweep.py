@@ -149,21 +149,10 @@ def widest_jump(scan: Scan, beams: NDArray[np.int64], ranges: FloatArray) -> int
 def split_at_gaps(sweep: Sweep, noise: RangeNoise, *, max_gap: float) -> list[NDArray[np.int64]]:
     """Return runs of end points that may belong to one surface, as places in the sweep.
 
-    Two neighbours part when they are farther apart than a wall under `GRAZING_ANGLE` puts them (Borges and Aldon's
-    adaptive breakpoints), or farther than `max_gap`. Missing readings in between widen what such a wall may do;
-    beams without return are passed over.
+    Two neighbours part when they are farther apart than a wall under `GRAZING_ANGLE` puts them, with four deviations of
+    the noise added (Borges and Aldon's adaptive breakpoints), or farther than `max_gap` metres. Missing readings in
+    between widen what such a wall may do; beams without return are passed over.
 
-    Parameters
-    ----------
-    sweep
-        Beams in order.
-    noise
-        Of single readings: four deviations are added to what a wall may do.
-    max_gap
-        Metres.
-
-    References
-    ----------
     G. A. Borges and M.-J. Aldon, "Line extraction in 2D range images for mobile robotics", Journal of Intelligent and
     Robotic Systems 40, 2004.
     """

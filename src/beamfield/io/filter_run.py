@@ -22,16 +22,9 @@ TRAJECTORY, PARTICLES = "trajectory.tum", "particles.csv.gz"
 
 @dataclass(frozen=True, eq=False)
 class FilterRun:
-    """A filter's run over a log.
+    """A filter's run over a log: the poses that it published, and its updates' stamps (u,), increasing, with particles.
 
-    Parameters
-    ----------
-    track
-        The poses that it published.
-    stamps
-        (u,) of its updates, seconds, increasing.
-    particles
-        Poses (n, 3) after each of them, metres and radians; a choice of them in which each counts alike.
+    The particles are poses (n, 3) after each update; a choice of them in which each counts alike.
     """
 
     track: Track

@@ -29,18 +29,9 @@ TOLERANCE = 5e-4  # metres within which a reading is a given value: half a step 
 
 @dataclass(frozen=True, eq=False)
 class ResolvedRanges:
-    """Ranges in the conventions of `Scan`, the limit they need, and what was done.
+    """Ranges (t, k) in the conventions of `Scan`, the limit in metres that they need, and what was done.
 
-    Parameters
-    ----------
-    ranges
-        (t, k) metres; +inf: no return; NaN: no measurement.
-    max_range
-        The sensor's limit in metres.
-    policy
-        What meant "no return".
-    notes
-        What a user should know besides.
+    The policy is what meant "no return"; the notes are what a user should know besides.
     """
 
     ranges: FloatArray
@@ -73,9 +64,9 @@ def resolve_no_return(
     4. Without any limit so far, it is set just beyond the largest reading, and a note says so.
 
     Zeros that are not explained so and negative readings are not measurements (NaN). Other rules are "none", with (1)
-    and (4) alone, or the values in metres that mean "no return". Ranges are (t, k) as in the file; NaN and +inf keep
-    their meaning. The policy says which share of *all* readings is no return. InvalidInputError if the rule or a limit
-    makes no sense.
+    and (4) alone, or the values in metres, NaN among them, that mean "no return". Ranges are (t, k) as in the file;
+    other NaN and +inf keep their meaning. The policy says which share of *all* readings is no return. InvalidInputError
+    if the rule or a limit makes no sense.
     """
     _check(rule, declared_max, max_range)
     z = np.array(ranges, dtype=np.float64)
@@ -110,8 +101,8 @@ def resolve_no_return(
 def _check(rule: NoReturnRule, declared_max: float | None, max_range: float | None) -> None:
     if isinstance(rule, str):
         require(rule in ("detect", "none"), "no_return", "'detect', 'none' or a tuple of metres", rule)
-    elif not all(np.isfinite(v) and v >= 0.0 for v in rule):
-        raise InvalidInputError(f"no_return: expected values >= 0 in metres, got {rule!r}")
+    elif not all(np.isnan(v) or 0.0 <= v < np.inf for v in rule):
+        raise InvalidInputError(f"no_return: expected values >= 0 in metres or NaN, got {rule!r}")
     for name, limit in (("declared_max", declared_max), ("max_range", max_range)):
         if limit is not None and not 0.0 < limit < np.inf:
             raise InvalidInputError(f"{name}: expected a finite number of metres > 0, got {limit!r}")
@@ -160,7 +151,7 @@ def _believed(z: FloatArray, declared: float, codes: tuple[float, ...], notes: l
 def _mask(z: FloatArray, values: tuple[float, ...], limit: float | None) -> NDArray[np.bool_]:
     mask: NDArray[np.bool_] = z == np.inf
     for value in values:
-        mask |= np.abs(z - value) < TOLERANCE
+        mask |= np.isnan(z) if np.isnan(value) else np.abs(z - value) < TOLERANCE
     if limit is not None:
         mask |= z >= limit
     return mask

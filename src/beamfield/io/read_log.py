@@ -69,7 +69,7 @@ def read_log(
     mount
         (3,) the sensor's pose on the robot, metres and radians, for a bag that does not say; text logs say.
     no_return
-        "detect" the values that mean "no return", "none", or the values in metres.
+        "detect" the values that mean "no return", "none", or the values in metres, of which one may be NaN.
     max_range, min_range
         The sensor's limits in metres, instead of what the file or the data say.
     opening_angle

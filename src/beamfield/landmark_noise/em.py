@@ -51,16 +51,9 @@ class NoiseProblem:
 
 @dataclass(frozen=True, eq=False)
 class NoiseClimb:
-    """Where EM ended.
+    """Where EM ended, and the log-likelihood per sighting after each iteration, nats; it never falls.
 
-    Parameters
-    ----------
-    theta
-        The parameters.
-    trace
-        Log-likelihood per sighting after each iteration, nats; it never falls.
-    converged
-        Whether what further iterations promise is below the tolerance.
+    Converged: what further iterations promise is below the tolerance.
     """
 
     theta: NoiseTheta

@@ -27,16 +27,9 @@ _MOST_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class NoiseIntervals:
-    """95% intervals from a bootstrap of blocks.
+    """95% intervals and standard errors per learned parameter, from a bootstrap of blocks of time or place.
 
-    Parameters
-    ----------
-    intervals
-        (low, high) per learned parameter; empty where there is one block only.
-    standard_errors
-        Standard error per learned parameter.
-    n_blocks
-        Stretches of time or place that were resampled.
+    There are no intervals where there is one block only.
     """
 
     intervals: Mapping[str, tuple[float, float]]
@@ -55,30 +48,10 @@ def noise_intervals(
 ) -> NoiseIntervals:
     """Resample blocks with replacement and learn again from each sample: how far the samples scatter tells intervals.
 
-    Parameters
-    ----------
-    likelihood
-        The sightings.
-    blocks
-        (n,) block of each sighting.
-    theta
-        What was learned from all sightings; each replicate starts there.
-    n_replicates, seed
-        Number of samples, and the seed for them.
-    progress
-        Called with the number of finished replicates and their total.
+    `blocks` (n,) holds the block of each sighting, `theta` what was learned from all, where each replicate starts;
+    `progress` is called with the finished replicates and their total. There are no intervals where there is one block,
+    and InvalidInputError where there are fewer than two replicates.
 
-    Returns
-    -------
-    Intervals and standard errors of what was learned; none where there is one block.
-
-    Raises
-    ------
-    InvalidInputError
-        If there are fewer than two replicates.
-
-    Notes
-    -----
     With s the standard deviation of the replicates times sqrt(B / (B - 1)) for B blocks, which vary less than what they
     are drawn from, and t, z the quantiles of Student's distribution of B - 1 degrees of freedom and of the normal one:
 
@@ -88,11 +61,9 @@ def noise_intervals(
 
     Percentiles would not do: those that few blocks need lie beyond the outermost of some hundred replicates.
 
-    References
-    ----------
-    Efron and Tibshirani, "An Introduction to the Bootstrap", 1993, chapters 6 and 12.
-    Korn and Graubard, "Confidence intervals for proportions with small expected number of positive counts estimated
-    from survey data", Survey Methodology 24, 1998.
+    References: Efron and Tibshirani, "An Introduction to the Bootstrap", 1993, chapters 6 and 12; Korn and Graubard,
+    "Confidence intervals for proportions with small expected number of positive counts estimated from survey data",
+    Survey Methodology 24, 1998.
     """
     require(n_replicates >= 2, "n_replicates", "at least 2", n_replicates)
     _, number = np.unique(blocks, return_inverse=True)

@@ -21,11 +21,11 @@ RESOLUTION = 0.001
 
 def sandwich_covariance(points: FloatArray, pose: FloatArray, field: ScanField, *, directions: FloatArray,
                         information: FloatArray, lever: float, reach: float) -> FloatArray:  # fmt: skip
-    """Return the covariance of a pose at which the end points' pulls balance, within the determined directions.
+    """Return the covariance (3, 3) of a pose at which the end points' pulls balance, of the rank of the directions.
 
     The pose solves g(pose) = sum of w r J = 0 with residuals r, weights w and the residuals' derivatives J by the pose.
-    To first order its error is A^-1 g(true pose), with A the fall of g per move, so that its covariance is
-    A^-1 B A^-1 with B the covariance of g (the "sandwich" of an M-estimator).
+    To first order its error is A^-1 g(true pose), with A the fall of g per move, so that its covariance is A^-1 B A^-1
+    with B the covariance of g (the "sandwich" of an M-estimator).
 
     - **A** is measured: differences of g, two thirds of sigma to both sides. It is less than the Gauss-Newton
       information where end points change from element to element, normals are noisy and robust weights fall.
@@ -34,31 +34,11 @@ def sandwich_covariance(points: FloatArray, pose: FloatArray, field: ScanField, 
       fitted to them. Where the pulls of whole patches, half a metre long, scatter more than that, B is their sum of
       squares: rough surfaces, other heights, people.
 
-    Parameters
-    ----------
-    points
-        (n, 2) the scan's end points.
-    pose
-        (3,) where their pulls balance.
-    field
-        What they are aligned with.
-    directions
-        (d, 3) the determined directions, moves whose information is diagonal.
-    information
-        (d,) along each of them, in end points.
-    lever
-        Metres that end points move per radian.
-    reach
-        Surfaces pull on end points up to this many metres away.
+    `directions` (d, 3) are the determined ones, moves whose information is diagonal: `information` (d,), in end points.
+    End points move `lever` metres per radian, and surfaces pull on them up to `reach` metres away.
 
-    Returns
-    -------
-    (3, 3) of x, y, theta, of rank d.
-
-    References
-    ----------
-    P. J. Huber, *The behavior of maximum likelihood estimates under nonstandard conditions*, 1967; for clusters:
-    K.-Y. Liang, S. L. Zeger, *Longitudinal data analysis using generalized linear models*, 1986.
+    References: P. J. Huber, *The behavior of maximum likelihood estimates under nonstandard conditions*, 1967; for
+    clusters: K.-Y. Liang, S. L. Zeger, *Longitudinal data analysis using generalized linear models*, 1986.
     """
     pulls, noise, sums = np.empty((3, 3)), np.empty((3, 3)), np.empty((field.n_elements, SUMS))
     sum_patches(points, pose, field.sigma_hit, reach, PATCH, field.view, sums, pulls, noise)

@@ -42,22 +42,11 @@ class _Motions(NamedTuple):
 
 
 def mount_of_fit(log: SensorLog, fitted: FloatArray) -> Finding | None:
-    """Compare the odometry with poses that were fitted to the map, and return a finding if the mount is wrong.
+    """Compare the odometry with poses (t, 3) that were fitted to the map; return a finding if the mount is wrong.
 
-    Parameters
-    ----------
-    log
-        Scans with odometry.
-    fitted
-        (t, 3) poses.
+    The finding, "laser-mount", is a warning that says where the laser seems to be. None if its mount is right, turned
+    by 180 degrees (which looks like odometry whose direction is reversed), or cannot be told from this log.
 
-    Returns
-    -------
-    "laser-mount", a warning with where the laser seems to be; None if its mount is right, turned by 180 degrees (which
-    looks like odometry whose direction is reversed), or cannot be told from this log.
-
-    Notes
-    -----
     Let E be the pose of the laser's true mount against the one assumed. Poses fitted to the scans are the robot's times
     E, so that a motion O of the robot appears as E^-1 O E. This is linear in four numbers, as plane rotations commute.
     """

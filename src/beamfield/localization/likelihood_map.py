@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -169,19 +169,25 @@ def likelihood_map(
     rows, cols = np.nonzero(mask)
     angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
     values, index = np.full(shape, -np.inf), np.full(shape, -1, np.int16)
-    n_headings = len(angles)
-    step = max(1, POSES_PER_CHUNK // n_headings)
-    for start in range(0, len(rows), step):
-        row, col = rows[start : start + step], cols[start : start + step]
-        centres = transform_points(grid.origin, (np.column_stack([col, row]) + 0.5) * resolution)
-        poses = np.empty((len(row), n_headings, 3))
-        poses[..., :2], poses[..., 2] = centres[:, None], angles
-        each = model.log_likelihood(scan, poses)
+    centres = transform_points(grid.origin, (np.column_stack([cols, rows]) + 0.5) * resolution)
+    for part, each in over_headings(model, scan, centres, angles):
         best = np.argmax(each, axis=1)
-        values[row, col], index[row, col] = each[np.arange(len(row)), best], best
+        values[rows[part], cols[part]], index[rows[part], cols[part]] = each[np.arange(len(each)), best], best
         if progress is not None:
-            progress(min(start + step, len(rows)), len(rows))
+            progress(part.start + len(each), len(rows))
     return LikelihoodMap(values, mask, index, angles, resolution, grid.origin)
+
+
+def over_headings(
+    model: MeasurementModel[Any], z: Any, centres: FloatArray, headings: FloatArray
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield log likelihoods (m, h) at positions (n, 2) with all headings (h,), and of which m positions they are."""
+    step = max(1, POSES_PER_CHUNK // len(headings))
+    for start in range(0, len(centres), step):
+        part = slice(start, start + step)
+        poses = np.empty((len(centres[part]), len(headings), 3))
+        poses[..., :2], poses[..., 2] = centres[part, None], headings
+        yield part, model.log_likelihood(z, poses)
 
 
 def lattice_shape(grid: OccupancyGrid, resolution: float, most: int) -> tuple[int, int]:

@@ -11,13 +11,11 @@ from numpy.typing import ArrayLike
 from beamfield.arguments import as_count, check_fields, checked, require
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
-from beamfield.localization.likelihood_map import free_cells, lattice_shape
+from beamfield.localization.likelihood_map import free_cells, lattice_shape, over_headings
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel, check_takes_poses_alone
 from beamfield.short_repr import short_repr
 
-# Poses per call of a model: memory does not grow.
-POSES_PER_CHUNK = 200_000
 # 8 bytes each, several arrays.
 MAX_POSES = 200_000_000
 
@@ -270,15 +268,10 @@ def pose_posterior(model: MeasurementModel[Any], z: Any, lattice: PoseLattice) -
     True
     """
     check_takes_poses_alone(model)
-    centres, h = lattice.centres(), len(lattice.headings)
-    values: FloatArray = np.empty((len(centres), h))
-    step = max(1, POSES_PER_CHUNK // h)
-    for start in range(0, len(centres), step):
-        part = centres[start : start + step]
-        poses = np.empty((len(part), h, 3))
-        poses[..., :2] = part[:, None]
-        poses[..., 2] = lattice.headings
-        values[start : start + step] = model.log_likelihood(z, poses)
+    centres = lattice.centres()
+    values: FloatArray = np.empty((len(centres), len(lattice.headings)))
+    for part, each in over_headings(model, z, centres, lattice.headings):
+        values[part] = each
     return posterior_of(values, lattice)
 
 

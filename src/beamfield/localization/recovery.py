@@ -117,17 +117,7 @@ class PoseSource(Protocol[Z_contra]):
     """Where poses come from that take no account of the belief."""
 
     def draw(self, z: Z_contra, n: int, rng: np.random.Generator) -> FloatArray:
-        """Draw n poses (n, 3), metres and radians.
-
-        Parameters
-        ----------
-        z
-            The measurement at hand, which a source need not look at.
-        n
-            How many, at least 1.
-        rng
-            Source of randomness.
-        """
+        """Draw n poses (n, 3), at least 1; a source need not look at the measurement at hand."""
         ...
 
 

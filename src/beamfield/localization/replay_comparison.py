@@ -33,22 +33,7 @@ COMPARED = {
 
 @dataclass(frozen=True, eq=False)
 class ReplayTrials:
-    """The runs of one filter on one log.
-
-    Parameters
-    ----------
-    log
-        Name of the log.
-    seeds
-        The seed of each run.
-    errors
-        Those of each run.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is no run, or not one seed for each.
-    """
+    """The runs of one filter on one log; InvalidInputError if there is none, or not one seed for each."""
 
     log: str
     seeds: tuple[int, ...]
@@ -67,21 +52,9 @@ class ReplayTrials:
         return len(self.seeds)
 
     def column(self, measure: str) -> FloatArray:
-        """Return one number of all runs.
+        """Return one number of all runs, in the order of the seeds: a field of `ReplayErrors`, else InvalidInputError.
 
-        Parameters
-        ----------
-        measure
-            A field of `ReplayErrors`.
-
-        Returns
-        -------
-        (n,) in the order of the seeds; NaN where the processor time was not taken.
-
-        Raises
-        ------
-        InvalidInputError
-            If there is no such field.
+        NaN where the processor time was not taken.
         """
         if measure not in MEASURES:
             raise InvalidInputError(f"measure: expected one of {', '.join(MEASURES)}, got {measure!r}")
@@ -113,18 +86,10 @@ class ReplayTrials:
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayComparison:
-    """The difference in one number between two filters, over the same logs and seeds.
+    """The difference in one number, a field of `ReplayErrors`, between two filters over the same logs and seeds.
 
-    Parameters
-    ----------
-    measure
-        A field of `ReplayErrors`.
-    before, after
-        Its mean over runs, and over logs.
-    low, high
-        The 95% interval of after - before.
-    n_seeds
-        The least number of seeds of a log.
+    `before` and `after` are its means over runs, and over logs, `low` and `high` the 95% interval of after - before,
+    and `n_seeds` the least number of seeds of a log.
     """
 
     measure: str

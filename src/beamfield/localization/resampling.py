@@ -85,34 +85,12 @@ class KldSampling:
 
 @checked
 def systematic_indices(weights: ArrayLike, n: int, rng: np.random.Generator) -> IndexArray:
-    """Draw indices by weight with equally spaced points: low-variance resampling.
+    """Draw n indices by weight with equally spaced points: low-variance resampling (Probabilistic Robotics, Table 4.4).
 
-    Each index comes n w times in the mean, and the number of times differs from that by less than one.
+    Each index comes n w times in the mean, and the number of times differs from that by less than one. They do not
+    fall, and one random number is drawn. InvalidInputError if the weights (m,) are not at least 0 with the sum 1, or n
+    < 1.
 
-    Parameters
-    ----------
-    weights
-        (m,) at least 0, with the sum 1.
-    n
-        How many.
-    rng
-        Source of randomness; one number is drawn.
-
-    Returns
-    -------
-    (n,) indices that do not fall.
-
-    Raises
-    ------
-    InvalidInputError
-        If the weights are not that, or n < 1.
-
-    References
-    ----------
-    Probabilistic Robotics, Table 4.4 (low variance sampler).
-
-    Examples
-    --------
     >>> systematic_indices([0.5, 0.0, 0.25, 0.25], 4, np.random.default_rng(0)).tolist()
     [0, 0, 2, 3]
     """

@@ -41,20 +41,12 @@ class _Shift(NamedTuple):
 def scan_delay(log: SensorLog, fitted: FloatArray | None = None) -> Finding | None:
     """Look for a constant delay between the stamps of scans and odometry, in how each of them turns.
 
-    Neighbouring scans are aligned where the robot turns, which needs neither map nor poses. Poses that were fitted to
-    scans and odometry tell less: they lie between both, and show half of the delay or less, but cost nothing.
+    Return the warning "scan-delay" if one delay of 0.15 s or more makes the turns agree; else None, also where the
+    robot hardly turns, scans are too rare, or odometry is missing.
 
-    Parameters
-    ----------
-    log
-        Scans with odometry.
-    fitted
-        (t, 3) poses that were fitted to both, if there are any: where these show no delay at all, no scans are aligned.
-
-    Returns
-    -------
-    "scan-delay", a warning, if one delay of 0.15 s or more makes the turns agree; else None, also where the robot
-    hardly turns, scans are too rare, or odometry is missing.
+    Neighbouring scans are aligned where the robot turns, which needs neither map nor poses. Poses (t, 3) that were
+    fitted to scans and odometry tell less: they lie between both, and show half of the delay or less, but cost nothing.
+    Where they are given and show no delay at all, no scans are aligned.
     """
     known = np.isfinite(log.odometry).all(axis=1)
     if known.sum() < FEWEST_PAIRS:

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from beamfield.finding import Finding, Severity, worst_first
 from beamfield.geometry import FloatArray
 from beamfield.localization.coarse_model import CoarseModel
 from beamfield.localization.particle_filter import FilterOptions, ParticleFilter, Update
-from beamfield.localization.particles import belief_poses, free_poses
+from beamfield.localization.particles import Estimate, belief_poses, free_poses
 from beamfield.localization.recovery import PoseSource
 from beamfield.localization.replay import PoseBelief, Replay
 from beamfield.localization.short_readings import ShortReadings
@@ -141,7 +140,8 @@ class ScanLocalizer:
         own.start(self._cloud(start, rng), coarse=coarse)
         place, searched_from = _FoundPlace(log, self.grid), 0
         poses: FloatArray = np.full((len(log), 3), np.nan)
-        used, updates, seconds = [], [], []
+        # Of the clouds, which are large, mean and covariance are kept.
+        used, clouds, sizes, seconds = [], list[Estimate](), [], []
         counts = {
             "repeated-scans": 0,
             "impossible-scans": 0,
@@ -170,7 +170,8 @@ class ScanLocalizer:
                 if update is not None:
                     used.append(i)
                     seconds.append(time.thread_time() - begin)
-                    updates.append(_Moments.of(update))
+                    clouds.append(update.belief.whole)
+                    sizes.append(len(update.belief))
                     counts["impossible-scans"] += update.is_impossible
                     if watch is not None:
                         watch(i, update)
@@ -182,9 +183,9 @@ class ScanLocalizer:
         return Localization(
             poses,
             np.array(used, np.int64),
-            np.reshape([u.mean for u in updates], (-1, 3)),
-            np.reshape([u.covariance for u in updates], (-1, 3, 3)),
-            np.array([u.n for u in updates], np.int64),
+            np.reshape([cloud.pose for cloud in clouds], (-1, 3)),
+            np.reshape([cloud.covariance for cloud in clouds], (-1, 3, 3)),
+            np.array(sizes, np.int64),
             np.array(seconds),
             findings=_findings(counts, len(log)),
             searched_from=searched_from,
@@ -222,19 +223,6 @@ class _FoundPlace:
         if np.isfinite(share) and self._log.finder.opening_angle == 0.0:
             self._shares.append(share)
         return len(self._shares) == JUDGED_SCANS and float(np.mean(self._shares)) < CONTRADICTED
-
-
-class _Moments(NamedTuple):
-    """What is kept of an update: clouds are large."""
-
-    mean: FloatArray
-    covariance: FloatArray
-    n: int
-
-    @classmethod
-    def of(cls, update: Update) -> _Moments:
-        whole = update.belief.whole
-        return cls(whole.pose, whole.covariance, len(update.belief))
 
 
 def _is_repeated(log: SensorLog, i: int, given: int) -> bool:

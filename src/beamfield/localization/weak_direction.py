@@ -30,15 +30,9 @@ INDEPENDENT_ANGLE = math.radians(16.0)
 
 @dataclass(frozen=True, eq=False)
 class Slide:
-    """What was found along a line.
+    """The best optimum (3,) along a line, and the mean square distance of all places on the line from it, m^2.
 
-    Parameters
-    ----------
-    pose
-        (3,) the best optimum.
-    variance
-        Mean square distance from it along the line, of all places on the line by their posterior probabilities, square
-        metres.
+    Places count by their posterior probabilities.
     """
 
     pose: FloatArray

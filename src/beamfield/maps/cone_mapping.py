@@ -34,7 +34,7 @@ def build_cone_map(
     max_cells: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> OccupancyGrid:
-    """Build the occupancy map of scans of a sensor with an opening angle.
+    """Build the map of scans of a sensor with an opening angle: the smallest that holds all seen cells, NaN elsewhere.
 
     A sonar's reading z says two things: no cell of the cone is occupied nearer than z, and at least one cell on the arc
     is, which begins at z (it is drawn half a cell behind it). Which one it is, other readings tell: a cell that other
@@ -44,41 +44,15 @@ def build_cone_map(
     2. Every reading is a hit of those cells of its arc that were passed least; other cells of the arc get a part of a
        hit, (passed / (1 - passed))^d where they were passed d times more often.
 
-    A cell's log-odds is the sum of its hits and passes. Arcs end beside the wall that they come from; where no other
-    cone clears these ends, they stay in the map, mostly behind the wall.
+    A cell's log-odds is the sum of its hits and passes, to which the inverse model's bounds are applied, so that the
+    order of scans never matters. Arcs end beside the wall that they come from; where no other cone clears these ends,
+    they stay in the map, mostly behind the wall.
 
-    Parameters
-    ----------
-    ranges
-        (t, k) metres in the conventions of `Scan`.
-    finder
-        The sensor, with an opening angle.
-    poses
-        (t, 3) poses of the robot, finite.
-    resolution
-        Side of a cell, metres. Cell borders lie at its multiples.
-    inverse_model
-        What a reading says about cells: `hit` for the cells on the arc, `passed` for those before it. Bounds are
-        applied to the sums, so the order of scans never matters.
-    max_cells
-        Largest map, in cells of 16 bytes.
-    progress
-        Called with the number of scans done and in total.
+    `ranges` (t, k) are in the conventions of `Scan`, `poses` (t, 3) finite, the map's borders at multiples of its
+    `resolution` in metres. InvalidInputError if that is not positive or the map has more than `max_cells`, of 16 bytes.
 
-    Returns
-    -------
-    OccupancyGrid
-        The smallest grid that holds every cell that was seen; NaN where nothing was.
-
-    Raises
-    ------
-    InvalidInputError
-        If the resolution is not positive, or the map would have more than `max_cells` cells.
-
-    References
-    ----------
-    Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985: evidence of occupancy on the arc is
-    weighed against evidence of emptiness before it is entered.
+    Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985, weigh evidence of occupancy on the arc
+    against evidence of emptiness before they enter it.
     """
     check_magnitude("resolution", resolution)
     readings = _readings(ranges, finder, resolution, inverse_model)

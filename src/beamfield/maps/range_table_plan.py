@@ -118,7 +118,7 @@ class RangeTablePlan:
         points = self.grid.to_map(self.starts[first:last])
         return np.column_stack([points, np.full(len(points), self.grid.origin[2])])
 
-    def code_blocks(self, progress: Progress | None = None) -> Iterator[Codes]:
+    def code_blocks(self, progress: Progress | None) -> Iterator[Codes]:
         """Cast the rays and yield their codes (n, headings), some places at a time, which the progress counts."""
         finder = RangeFinder.from_bearings(np.arange(self.headings) * (2.0 * np.pi / self.headings), self.reach)
         step = max(1, RAYS_PER_BLOCK // self.headings)

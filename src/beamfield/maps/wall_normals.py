@@ -17,18 +17,12 @@ CELLS_AT_ONCE = 50_000
 
 
 def wall_normals(grid: OccupancyGrid) -> NDArray[np.float32]:
-    """Return the direction of the normal of each cell's wall.
+    """Return the direction of the normal of each cell's wall, radians in the map's frame, up to half a turn.
 
     Cells stop rays at their own sides, which all lie along the grid: the wall's direction is that of a line through the
-    surface cells around, which are those with a neighbour that is not occupied.
+    surface cells around, which are those with a neighbour that is not occupied. NaN where no cell is on a surface, and
+    where it has no direction: at corners, ends and in clutter.
 
-    Returns
-    -------
-    (rows, cols) radians in the map's frame, up to half a turn; NaN where no cell is on a surface, and where it has no
-    direction: at corners, ends and in clutter.
-
-    Examples
-    --------
     >>> grid = OccupancyGrid([[0.0] * 9, [1.0] * 9, [0.0] * 9], resolution=0.1)
     >>> float(np.degrees(wall_normals(grid)[1, 4])) % 180.0
     90.0

@@ -45,12 +45,8 @@ def counted_from(min_range: float, ranges: FloatArray, max_range: float) -> Floa
 def expected_from(min_range: float, expected_ranges: FloatArray) -> FloatArray:
     """Return expected ranges z* counted from min_range; the array itself, if there is no blind zone.
 
-    Returns
-    -------
-    Metres, of that shape; 0 where the obstacle is in the blind zone, NaN where the range is.
+    0 where the obstacle is in the blind zone, NaN where the range is.
 
-    Examples
-    --------
     >>> expected_from(0.5, np.array([0.2, 2.0])).tolist()
     [0.0, 1.5]
     """

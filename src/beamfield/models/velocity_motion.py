@@ -80,16 +80,9 @@ class VelocityMotion(OdometryMotion):
 
 @dataclass(frozen=True, eq=False)
 class ArcStep:
-    """An arc of noisy speeds and a noisy turn at its end.
+    """An arc of noisy speeds, in m/s and rad/s, and a noisy turn at its end.
 
-    Parameters
-    ----------
-    v, w
-        Mean speed and turn rate, m/s and rad/s.
-    deviations
-        (3,) standard deviations of v, w and the rate of the turn at the end.
-    duration
-        Seconds.
+    The deviations (3,) are those of v, w and the rate of the turn at the end; the duration is in seconds.
     """
 
     v: float

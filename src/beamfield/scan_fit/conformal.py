@@ -10,24 +10,12 @@ from beamfield.geometry import FloatArray
 
 
 def conformal_p_values(values: ArrayLike, good: ArrayLike) -> FloatArray:
-    """Return (1 + number of good values at least as large) / (n + 1) for each value.
+    """Return (1 + number of good values at least as large) / (n + 1) for each value; larger is stranger.
 
-    If a fresh scan is as good as the good ones (exchangeable with them), P(p <= a) <= a for every a, whatever the
-    distribution of the values and however few good scans there are: few make the p-value conservative, not wrong.
+    If a fresh scan is as good as the n good ones (exchangeable with them), P(p <= a) <= a for every a, whatever the
+    distribution of the values and however few good scans there are: few make the p-value conservative, not wrong. NaN
+    among the values gives NaN, among the good ones it is left out.
 
-    Parameters
-    ----------
-    values
-        (m,) statistics, larger is stranger; NaN gives NaN.
-    good
-        (n,) statistics of good scans; NaN are left out.
-
-    Returns
-    -------
-    (m,) in [1 / (n + 1), 1].
-
-    Examples
-    --------
     >>> conformal_p_values([0.0, 2.5, 9.0], [1.0, 2.0, 3.0]).tolist()
     [1.0, 0.5, 0.25]
     """

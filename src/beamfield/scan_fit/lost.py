@@ -16,20 +16,7 @@ from beamfield.scan_fit.likelihood_ratio import LostEvidence, evidence_weights
 
 @dataclass(frozen=True)
 class LostRates:
-    """How often a robot gets lost and is found again, before any scan is seen.
-
-    Parameters
-    ----------
-    lose
-        Rate at which a robot that knows its place gets lost, 1/s.
-    find
-        Rate at which a lost robot finds its place again, 1/s.
-
-    Raises
-    ------
-    InvalidInputError
-        If a rate is not positive and finite.
-    """
+    """How often a robot gets lost and is found again, before any scan is seen; 1/s, positive and finite."""
 
     lose: float = 1.0 / 600.0
     find: float = 1.0 / 60.0

@@ -19,17 +19,7 @@ SIDE = 0.25
 
 @dataclass(frozen=True)
 class Lattice:
-    """Squares along the axes of the map frame that cover a map.
-
-    Parameters
-    ----------
-    x, y
-        Lower left corner, metres.
-    side
-        Of a square, metres.
-    rows, cols
-        How many.
-    """
+    """Squares along the axes of the map frame that cover a map, from the lower left corner x, y on; metres."""
 
     x: float
     y: float

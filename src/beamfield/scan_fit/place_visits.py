@@ -26,16 +26,9 @@ MOST_STEPS = 200
 
 
 class Tally(NamedTuple):
-    """Beams per place and visit, as columns; only where beams had the chance.
+    """Beams per place and visit, as columns; only where beams had the chance to tell.
 
-    Parameters
-    ----------
-    place, visit
-        Numbers of both; visits of one place are in the order of time.
-    beams
-        Beams that had the chance to tell.
-    readings
-        Those that differ from the map.
+    Visits of one place are in the order of time; `readings` are those of its `beams` that differ from the map.
     """
 
     place: NDArray[np.int64]

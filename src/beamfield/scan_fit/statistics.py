@@ -71,33 +71,12 @@ class FitStatistics:
 def fit_statistics(
     model: FitModel, ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike, *, progress: Progress | None = None
 ) -> FitStatistics:
-    """Return how badly each scan fits the map at its pose.
+    """Return how badly each scan fits the map at its pose; columns (t,), NaN where a scan says nothing.
 
-    Parameters
-    ----------
-    model
-        `BeamModel`, `SonarModel` or `LikelihoodFieldModel`. Its exponent and n_beams do not matter: all beams count.
-    ranges
-        (t, k) metres in the conventions of `Scan`.
-    finder
-        The sensor.
-    poses
-        (t, 3) pose of the robot per scan; NaN: the scan says nothing.
-    progress
-        Called with (done, total) scans.
-
-    Returns
-    -------
-    Columns (t,); NaN where a scan says nothing.
-
-    Raises
-    ------
-    InvalidInputError
-        If the shapes do not fit each other or the model is of another kind.
-
-    Notes
-    -----
-    Beams whose ray enters unknown space before an obstacle say nothing: what they should measure is not known.
+    The model is a `BeamModel`, `SonarModel` or `LikelihoodFieldModel`, else InvalidInputError; its exponent and n_beams
+    do not matter: all beams count. Beams whose ray enters unknown space before an obstacle say nothing: what they
+    should measure is not known. A scan whose pose (3,) is NaN says nothing. `progress` is called with (done, total)
+    scans.
     """
     z = np.asarray(ranges, dtype=np.float64)
     robots = np.asarray(poses, dtype=np.float64)

@@ -50,34 +50,17 @@ def beam_surprise(
     ranges: FloatArray, expected_ranges: FloatArray, max_range: float, parameters: BeamParameters,
     *, min_range: float = 0.0,
 ) -> BeamSurprise:  # fmt: skip
-    """Compare readings with what the beam model expects of them.
+    """Compare readings (..., k) with what the beam model expects of them; 0 where a beam is left out.
 
     The surprise of a beam, -log p(z | z*), depends on the scene even if all is well: far walls are noisier, and a ray
     into the open has its "no return". Its expectation (the entropy of the model for that z*) is therefore subtracted.
 
-    Parameters
-    ----------
-    ranges, expected_ranges
-        (..., k) metres; "no return" as max_range; NaN in either leaves the beam out.
-    max_range
-        The sensor's limit, metres.
-    parameters
-        The model.
-    min_range
-        Nearer readings are dropped, metres: expectations are those of the others.
+    "No return" is max_range; NaN in a reading or an expected range leaves the beam out. Readings nearer than min_range
+    are dropped: expectations are those of the others.
 
-    Returns
-    -------
-    Arrays (..., k); 0 where a beam is left out.
-
-    Notes
-    -----
     Where a ray hits nothing (z* = max_range) nothing can be hit: there z_hit is added to z_max, and a reading is short
-    if it returned at all. The model as written expects such readings just below max_range, which no sensor does.
-
-    References
-    ----------
-    Probabilistic Robotics, section 6.3.1, (6.12).
+    if it returned at all. The model as written (Probabilistic Robotics, section 6.3.1, (6.12)) expects such readings
+    just below max_range, which no sensor does.
     """
     used = np.isfinite(ranges) & np.isfinite(expected_ranges)
     z, z_star = np.where(used, ranges, 0.0), np.clip(np.where(used, expected_ranges, 0.0), min_range, max_range)

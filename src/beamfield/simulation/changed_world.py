@@ -28,17 +28,7 @@ Cells = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Change:
-    """One thing that is new or gone.
-
-    Parameters
-    ----------
-    kind
-        "new obstacle" or "missing wall", as `find_changed_places` calls them.
-    x, y
-        Its middle, metres in the map frame.
-    width, height
-        Its extent along x and y of the map, metres.
-    """
+    """A thing that is new or gone, as `find_changed_places` calls it; its middle and extent in the map, metres."""
 
     kind: Literal["new obstacle", "missing wall"]
     x: float

@@ -48,29 +48,15 @@ class Dependence:
 def dependent_uniforms(
     stamps: ArrayLike, bearings: ArrayLike, dependence: Dependence, rng: np.random.Generator
 ) -> FloatArray:
-    """Draw numbers, each uniform on (0, 1), that are dependent between neighbours (a Gaussian copula).
+    """Draw numbers (t, k), each uniform on (0, 1), that are dependent between neighbours (a Gaussian copula).
 
     A Gaussian number per beam and scan follows a first-order autoregression over bearings and over time; its normal
     distribution function makes it uniform. Whatever is drawn by inverting a distribution function at these numbers has
     exactly that distribution, beam by beam, and comes in bursts.
 
-    Parameters
-    ----------
-    stamps
-        (t,) seconds, increasing.
-    bearings
-        (k,) radians; any order. Directions on either side of +-pi are not treated as neighbours.
-    dependence
-        How far it reaches.
-    rng
-        Source of randomness.
+    The stamps (t,) increase; the bearings (k,) are in any order, but those on either side of +-pi are not treated as
+    neighbours.
 
-    Returns
-    -------
-    (t, k) numbers in (0, 1).
-
-    Examples
-    --------
     >>> bearings = np.linspace(0.0, 1.0, 5)
     >>> u = dependent_uniforms([0.0], bearings, Dependence(angle=100.0), np.random.default_rng(0))
     >>> float(np.ptp(u)) < 0.1

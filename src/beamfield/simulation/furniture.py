@@ -23,7 +23,7 @@ def chair(x: float, y: float) -> tuple[Shape, ...]:
     return tuple(leg(x + dx, y + dy) for dx in (-0.2, 0.2) for dy in (-0.2, 0.2))
 
 
-def desk(*, width: float = 1.6, drawers_left: bool = True) -> Thing:
+def desk(*, width: float, drawers_left: bool) -> Thing:
     """Return a desk with its panel at the back, drawers at one side and a swivel chair in front; `width` in metres."""
     side = -1.0 if drawers_left else 1.0
     inner, outer = side * (width / 2 - 0.45), side * width / 2

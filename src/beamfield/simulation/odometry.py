@@ -51,29 +51,10 @@ class OdometryNoise:
 
 
 def noisy_odometry(poses: ArrayLike, rng: np.random.Generator, noise: OdometryNoise | None = None) -> FloatArray:
-    """Return what odometry says along a true drive.
+    """Return what odometry says along a true drive (t, 3), in a frame that starts at (0, 0, 0).
 
-    Parameters
-    ----------
-    poses
-        (t, 3) true poses in the map frame, metres and radians.
-    rng
-        Source of randomness.
-    noise
-        How large the errors are.
-
-    Returns
-    -------
-    (t, 3) poses in the odometry frame, which starts at (0, 0, 0). A robot that stands still adds no error.
-
-    Raises
-    ------
-    InvalidInputError
-        If the poses are not finite (t, 3).
-
-    Examples
-    --------
-    Wheels one percent larger than assumed, and no other error:
+    A robot that stands still adds no error. InvalidInputError if the poses are not finite (t, 3). Wheels one percent
+    larger than assumed, and no other error:
 
     >>> noise = OdometryNoise(distance=0.0, drift=0.0, turn=0.0, distance_scale=0.01, turn_scale=0.0)
     >>> noisy_odometry([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]], np.random.default_rng(0), noise).round(6).tolist()

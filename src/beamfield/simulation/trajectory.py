@@ -39,20 +39,7 @@ TURN_RATE, ACCELERATION, PAUSE = 1.0, 0.6, 0.4
 
 @dataclass(frozen=True)
 class DriveOptions:
-    """How the robot drives.
-
-    Parameters
-    ----------
-    robot_radius
-        No pose is closer to an occupied or unknown cell than this, metres.
-    speed
-        Fastest speed on straight ground, m/s.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is not positive and finite.
-    """
+    """How the robot drives: its radius, which it keeps from cells that are not free, metres, and its top speed, m/s."""
 
     robot_radius: float = 0.25
     speed: float = 1.0

@@ -1,10 +1,13 @@
-"""What windows of scans say of the poses that compete in them, as a function of a model's parameters."""
+"""What windows of scans say of the poses that compete in them, as a function of a model's parameters.
+
+Both kinds of evidence take parameters as points, in coordinates without bounds, and return log-likelihoods (w, n) of w
+windows at their n poses, near ones before far ones.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,24 +39,6 @@ LEAST_WEIGHT = 1e-4
 BELOW_MAX = 1.0 - 1e-9
 # Metres: no hit is so far from its obstacle, and infinity times nothing is no number.
 FAR = 1e6
-
-
-class Evidence(Protocol):
-    """Windows whose log-likelihood is known for all parameters, in coordinates without bounds."""
-
-    start: FloatArray
-
-    def parameters(self, point: FloatArray) -> BeamParameters | LikelihoodFieldParameters:
-        """Return the parameters at a point."""
-        ...
-
-    def log_likelihood(self, point: FloatArray) -> FloatArray:
-        """Return log p (w, n) of w windows at their n poses, near ones before far ones."""
-        ...
-
-    def gradient(self, point: FloatArray, weights: FloatArray) -> FloatArray:
-        """Return the derivative of the log-likelihoods' sum with weights (w, n) by the coordinates."""
-        ...
 
 
 class BeamEvidence:
@@ -105,11 +90,10 @@ class BeamEvidence:
         each = beam_log_density(
             self._ranges, self._expected, finder.max_range, self.parameters(point), min_range=finder.min_range
         )
-        sums: FloatArray = np.bincount(self._rows, each, self._shape[0] * self._shape[1]).astype(np.float64)
-        return sums.reshape(self._shape)
+        return _sums(self._rows, each, self._shape)
 
     def gradient(self, point: FloatArray, weights: FloatArray) -> FloatArray:
-        """Return the derivative of the weighted sum by the coordinates."""
+        """Return the derivative by the coordinates of the log-likelihoods' sum with weights (w, n)."""
         theta = self._at(point)
         slopes = self._likelihood.reweighted(weights.ravel()[self._rows]).derivatives(theta)[1]
         mixed = [*self._weights, W_RAND]
@@ -166,22 +150,29 @@ class FieldEvidence:
     def log_likelihood(self, point: FloatArray) -> FloatArray:
         """Return log q (w, n) of the windows."""
         hit, rand = self._terms(point)
-        return self._sums(np.log(hit + rand))
+        return _sums(self._rows, np.log(hit + rand), self._shape)
 
     def gradient(self, point: FloatArray, weights: FloatArray) -> FloatArray:
-        """Return the derivative of the weighted sum by the coordinates."""
+        """Return the derivative by the coordinates of the log-likelihoods' sum with weights (w, n)."""
         hit, rand = self._terms(point)
         parts = hit / (hit + rand)
         p = self.parameters(point)
         by_share = parts - p.z_hit / (p.z_hit + p.z_rand)
         by_sigma = parts * (self._squares / p.sigma_hit**2 - 1.0)
-        return np.array([float((weights * self._sums(each)).sum()) for each in (by_share, by_sigma)])
+        return np.array(
+            [float((weights * _sums(self._rows, each, self._shape)).sum()) for each in (by_share, by_sigma)]
+        )
 
     def _terms(self, point: FloatArray) -> tuple[FloatArray, float]:
         p = self.parameters(point)
         peak = p.z_hit / (np.sqrt(2.0 * np.pi) * p.sigma_hit)
         return peak * np.exp(-0.5 * self._squares / p.sigma_hit**2), p.z_rand / self._max_range
 
-    def _sums(self, each: FloatArray) -> FloatArray:
-        sums: FloatArray = np.bincount(self._rows, each, self._shape[0] * self._shape[1]).astype(np.float64)
-        return sums.reshape(self._shape)
+
+Evidence = BeamEvidence | FieldEvidence
+
+
+def _sums(rows: NDArray[np.int64], each: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Add up what beams say, by the rows of all poses."""
+    sums: FloatArray = np.bincount(rows, each, shape[0] * shape[1]).astype(np.float64)
+    return sums.reshape(shape)

@@ -32,17 +32,7 @@ REACH = 5.0
 
 @dataclass(frozen=True)
 class ContextScore:
-    """How the posteriors of one set of parameters do on held-out windows.
-
-    Parameters
-    ----------
-    name
-        Which parameters.
-    parameters, exponent
-        The parameters, and how much beams count.
-    scores
-        Of the held-out windows.
-    """
+    """How the posteriors of one set of parameters, with how much beams count, do on the held-out windows."""
 
     name: str
     parameters: BeamParameters | LikelihoodFieldParameters
@@ -212,9 +202,7 @@ def _exponent(values: Sequence[FloatArray], rivals: Rivals) -> float:
     return suited_exponent(np.array([each.coverage_at(LEVEL) for each in scores]))
 
 
-def _evidence(
-    model: RangeMixtureModel | LikelihoodFieldModel, log: SensorLog, windows: Sequence[Window]
-) -> BeamEvidence | FieldEvidence:
+def _evidence(model: RangeMixtureModel | LikelihoodFieldModel, log: SensorLog, windows: Sequence[Window]) -> Evidence:
     if isinstance(model, LikelihoodFieldModel):
         require(model.unknown == "free", "unknown", "a field with 'free'", model.unknown)
         return FieldEvidence(model, log, windows)

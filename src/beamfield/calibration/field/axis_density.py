@@ -35,18 +35,10 @@ class Mixture(NamedTuple):
 
 @dataclass(frozen=True)
 class DensityFit:
-    """A climb of the likelihood along the axes.
+    """Where a climb of the likelihood along the axes ended, and how many readings are hits, in the mean.
 
-    Parameters
-    ----------
-    mixture
-        Where it ended.
-    trace
-        Log-likelihood after each iteration, nats per reading; it never falls.
-    converged
-        Whether the last iteration gained less than 1e-9 nats per reading.
-    n_hits
-        Number of readings that are hits, in the mean.
+    The trace is the log-likelihood after each iteration, nats per reading; it never falls. Converged: the last one
+    gained less than 1e-9.
     """
 
     mixture: Mixture

@@ -82,30 +82,12 @@ class _Classes(NamedTuple):
 
 
 def build_axis_table(log: SensorLog, grid: OccupancyGrid, scans: ArrayLike, *, seed: int = 0) -> AxisTable:
-    """Follow the axes of the beams of the given scans, from their reference poses to max_range.
+    """Follow the axes of the beams of scans (indices or a mask) from their reference poses to max_range.
 
-    Parameters
-    ----------
-    log, grid
-        Scans with reference poses, and the map.
-    scans
-        Indices or mask of the scans to use.
-    seed
-        Draws the beams that are followed, where there are more than 20,000.
-
-    Returns
-    -------
-    One row per reading below max_range with an obstacle on its axis, in the order of the log.
-
-    Raises
-    ------
-    InvalidInputError
-        If the map has no obstacle.
-
-    Notes
-    -----
-    All measured readings count, also those whose beam crosses unknown space: a likelihood field scores them all. The
-    distances are those of `LikelihoodFieldModel` with the nearest look-up and its defaults.
+    One row per reading below max_range with an obstacle on its axis, in the order of the log; `seed` draws those that
+    are followed where there are more than 20,000. All measured readings count, also those whose beam crosses unknown
+    space: a likelihood field scores them all. The distances are those of `LikelihoodFieldModel` with the nearest
+    look-up and its defaults. InvalidInputError if the map has no obstacle.
     """
     if not grid.occupied.any():
         raise InvalidInputError("the map has no occupied cell: there is no distance to obstacles")

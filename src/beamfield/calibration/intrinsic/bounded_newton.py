@@ -25,28 +25,11 @@ def newton_step(
     upper: FloatArray,
     summed: BoolArray,
 ) -> FloatArray:
-    """Return an ascent step d with ``lower <= x + d <= upper`` that leaves the sum over `summed` unchanged.
+    """Return an ascent step d (n,) with ``lower <= x + d <= upper`` that leaves the sum over `summed` unchanged.
 
-    Parameters
-    ----------
-    x, gradient, hessian
-        Point (n,), first (n,) and second derivatives (n, n) of what is to be maximised.
-    free
-        Which coordinates may move, bool (n,).
-    lower, upper
-        Bounds (n,).
-    summed
-        Which coordinates keep their sum (the weights of a mixture), bool (n,).
-
-    Returns
-    -------
-    (n,) 0 where a coordinate may not move; all 0 if none can.
-
-    Notes
-    -----
-    Coordinates at a bound whose derivative points outwards stay there (active set). A coordinate that the step would
-    carry over a bound is put on it and the rest solved again. Where the curvature has the wrong sign it is reversed, so
-    that the step always climbs.
+    Coordinates that are not `free` do not move. Those at a bound whose derivative points outwards stay there (active
+    set). A coordinate that the step would carry over a bound is put on it and the rest solved again. Where the
+    curvature has the wrong sign it is reversed, so that the step always climbs. All 0 if no coordinate can move.
     """
     moved = np.zeros_like(x)
     if np.count_nonzero(free) == 1 and not summed[free].any():

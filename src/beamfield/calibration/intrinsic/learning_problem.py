@@ -41,20 +41,9 @@ _POSITIONS = {
 
 @dataclass(frozen=True)
 class LearningProblem:
-    """Free parameters, bounds and priors, in the order of the working vector.
+    """Free parameters, bounds and priors, in the order of the working vector, (8,) each.
 
-    Parameters
-    ----------
-    max_range, min_range
-        Limits of the sensor, metres.
-    free
-        Which entries are learned, bool (8,).
-    held
-        Values of the entries that are not, NaN elsewhere, shape (8,).
-    lower, upper
-        Bounds, shape (8,).
-    priors
-        Priors; the default says nothing.
+    `held` has the values of the entries that are not learned, NaN elsewhere. The sensor's limits are in metres.
     """
 
     max_range: float
@@ -116,12 +105,9 @@ def learning_problem(
     if not fit_sigma_slope:
         hold.setdefault("sigma_slope", 0.0)
     _check_held_values(hold)
-    free = np.array([name not in hold for name in _POSITIONS])
-    held = np.array([hold.get(name, np.nan) for name in _POSITIONS])
-    order = np.array(list(_POSITIONS.values()))
-    free_theta, held_theta = np.empty(N_PARAMETERS, dtype=bool), np.empty(N_PARAMETERS)
-    free_theta[order] = free
-    held_theta[order] = held
+    free_theta, held_theta = np.ones(N_PARAMETERS, dtype=bool), np.full(N_PARAMETERS, np.nan)
+    for name, value in hold.items():
+        free_theta[_POSITIONS[name]], held_theta[_POSITIONS[name]] = False, value
     held_theta[[VARIANCE, SLOPE]] **= 2
     lower = np.zeros(N_PARAMETERS)
     lower[VARIANCE] = (SIGMA_FLOOR_SHARE * max_range) ** 2

@@ -16,14 +16,8 @@ from beamfield.models.omni_motion import OmniMotion
 class NoiseFamily:
     """Motion models whose covariance is a sum of levels times those of given models.
 
-    Parameters
-    ----------
-    name
-        For tables.
-    units
-        A model for each level: with level 1 of one kind of noise and 0 of the others.
-    build
-        From levels, as many as units, to the model that has them.
+    The units are a model for each level, with level 1 of one kind of noise and 0 of the others; `build` makes the model
+    that has the levels it is given. The name is for tables.
     """
 
     name: str

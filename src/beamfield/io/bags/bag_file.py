@@ -38,20 +38,10 @@ def _without_yaml_warnings() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class BagMessage:
-    """One message of a bag.
+    """One message of a topic, and when it was recorded, seconds.
 
-    Parameters
-    ----------
-    topic
-        Where it was published.
-    msgtype
-        Its type, as in ROS 2: ``sensor_msgs/msg/LaserScan``.
-    number
-        Its number within the topic, from 1, in the order of recording.
-    recorded
-        When it was recorded, seconds.
-    content
-        The message, with the fields of its type.
+    Its type is named as in ROS 2 (``sensor_msgs/msg/LaserScan``), its number counts the topic's messages from 1 in the
+    order of recording, and its content has the fields of its type.
     """
 
     topic: str
@@ -302,12 +292,8 @@ def _resolve(path: Path) -> list[Path]:
     return [path]
 
 
-def _storage_files(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.suffix in (".db3", ".mcap") and p.is_file())
-
-
 def _without_metadata(folder: Path) -> list[Path]:
-    files = _storage_files(folder)
+    files = sorted(p for p in folder.iterdir() if p.suffix in (".db3", ".mcap") and p.is_file())
     if not files:
         raise FormatError(
             folder, f"not a ROS 2 bag: no {METADATA}, .db3 or .mcap file in the folder; name a file in it"

@@ -46,16 +46,9 @@ def usual_geometry(geometries: Sequence[ScanGeometry]) -> ScanGeometry:
 
 
 class NearestBeams(NamedTuple):
-    """Which beams of a scan lie nearest to which bearings of a grid.
+    """Which beams (m,) of a scan lie nearest to which bearings of a grid, indices (m,).
 
-    Parameters
-    ----------
-    grid
-        (m,) indices into the grid.
-    beams
-        (m,) the beams of the scan that take their place.
-    moved
-        By how much the bearing of any of these changes, at most, radians.
+    `moved` tells by how much the bearing of any of these changes, at most, radians.
     """
 
     grid: NDArray[np.int64]
@@ -67,18 +60,8 @@ def nearest_beams(geometry: ScanGeometry, grid: ScanGeometry) -> NearestBeams:
     """Find for each bearing of a grid the nearest beam of a scan, within half a step of the grid.
 
     A reading is used once or not at all, and none is made up between two: a bearing without a beam is left out. Nothing
-    is interpolated because the mean of a near and a far reading is where neither of them was.
-
-    Parameters
-    ----------
-    geometry
-        Of the scan.
-    grid
-        Of the scans that it is to be like.
-
-    Returns
-    -------
-    Pairs of indices; none if the scan looks elsewhere.
+    is interpolated because the mean of a near and a far reading is where neither of them was. No pairs of indices if
+    the scan looks elsewhere.
     """
     # A single beam has no step to its neighbour.
     step = grid.increment if grid.n_beams > 1 else 2.0 * BEARING_TOLERANCE
@@ -98,18 +81,9 @@ def nearest_beams(geometry: ScanGeometry, grid: ScanGeometry) -> NearestBeams:
 
 
 class GriddedScans(NamedTuple):
-    """Scans on one grid of bearings.
+    """Scans on one grid of bearings: ranges (t, k) in metres, NaN where a scan has no beam.
 
-    Parameters
-    ----------
-    ranges
-        (t, k) metres; NaN where a scan has no beam.
-    grid
-        Their bearings.
-    notes
-        What was done to them; empty if nothing was.
-    elsewhere
-        The first scan of which no beam is on the grid, if there is one.
+    The notes say what was done to them, if anything was; `elsewhere` is the first scan of which no beam is on the grid.
     """
 
     ranges: NDArray[np.float32]
@@ -119,15 +93,7 @@ class GriddedScans(NamedTuple):
 
 
 def on_one_grid(ranges: Sequence[NDArray[np.float32]], geometries: Sequence[ScanGeometry]) -> GriddedScans:
-    """Bring scans onto the usual one of their grids, each beam to the nearest bearing.
-
-    Parameters
-    ----------
-    ranges
-        (k_i,) metres of each scan.
-    geometries
-        Its beams.
-    """
+    """Bring scans, (k_i,) metres each, onto the usual one of their grids, each beam to the nearest bearing."""
     grid = usual_geometry(geometries)
     pairs: dict[ScanGeometry, NearestBeams] = {}
     gridded = np.full((len(ranges), grid.n_beams), np.nan, dtype=np.float32)

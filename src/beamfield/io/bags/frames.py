@@ -56,16 +56,11 @@ class Transforms:
 
 
 class TransformBuffer:
-    """All transforms of a log, and the frames that they connect.
+    """All transforms of a log, and the frames that they connect; the path is for errors.
 
-    A leading slash of a frame's name, as ROS 1 has it, is dropped. Where a frame has several parents the shortest
-    chain is taken. Interpolation is linear for positions and spherical for orientations, between the two neighbours
-    in time, and never beyond the first or last of them, as tf2 does it.
-
-    Parameters
-    ----------
-    path
-        The file, to name it in errors.
+    A leading slash of a frame's name, as ROS 1 has it, is dropped. Where a frame has several parents the shortest chain
+    is taken. Interpolation is linear for positions and spherical for orientations, between the two neighbours in time,
+    and never beyond the first or last of them, as tf2 does it.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -75,22 +70,10 @@ class TransformBuffer:
 
     def add(self, parent: str, child: str, stamp: float, translation: Sequence[float], rotation: Sequence[float],
             *, static: bool = False, place: str = "") -> None:  # fmt: skip
-        """Add one transform, the pose of `child` in `parent`.
+        """Add one transform, the pose of `child` in `parent`, with a quaternion x, y, z, w; `place` is for errors.
 
-        Parameters
-        ----------
-        parent, child
-            Names of the frames; transforms with an empty name, or from a frame to itself, say nothing and are skipped.
-        stamp
-            Seconds; without meaning for a static transform.
-        translation
-            x, y, z in metres.
-        rotation
-            Quaternion x, y, z, w.
-        static
-            Whether it holds at all times; the last one given counts.
-        place
-            Topic and message number, for errors.
+        Names that are empty, and a frame in itself, say nothing and are skipped. A static one holds at all times,
+        whatever its stamp; the last one given counts.
         """
         parent, child = strip_slash(parent), strip_slash(child)
         if not parent or not child or parent == child:

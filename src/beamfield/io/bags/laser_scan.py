@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -65,7 +66,7 @@ def scan_from_message(
         (3,) the sensor's pose on the robot, metres and radians: what tf has from base_link to `header.frame_id`.
     no_return
         Values in metres by which the sensor says "no return", if it does not follow REP 117 (+inf, or range_max and
-        more): 0.0 for many.
+        more): 0.0 for many, NaN for some.
     max_range
         The sensor's limit in metres, for drivers that leave range_max at 0 or inf; None takes it from the message.
 
@@ -97,8 +98,7 @@ def scan_from_message(
         raise InvalidInputError(f"ranges: expected shape (k,) with beams, got {ranges.shape}")
     geometry = ScanGeometry(float(message.angle_min), float(message.angle_increment), len(ranges))
     _check_geometry(*geometry)
-    for value in no_return:
-        ranges[ranges == np.float32(value)] = np.inf
+    ranges[is_one_of(ranges, no_return)] = np.inf
     # Of float32 precision as the ranges are: a sensor that answers 5.6 for "no return" writes 5.599999904632568.
     limit = float(np.float32(message.range_max if max_range is None else max_range))
     if max_range is None and not 0.0 < limit < np.inf:
@@ -145,18 +145,11 @@ class LaserScans:
 
 @dataclass(eq=False)
 class LaserScanCollector:
-    """Collects the messages of one topic and checks that they belong together.
+    """Collects the messages of one topic and checks that they belong together; path and topic are for errors.
 
     The direction of beam i is ``angle_min + i angle_increment``, computed in float64 from the float32 fields, whose
     rounding leaves it less than 1e-6 radians off. The increment may be negative. The number of beams and their
     directions may change from scan to scan, as those of lidars do whose motor runs freely; see `on_one_grid`.
-
-    Parameters
-    ----------
-    path
-        The bag, for errors.
-    topic
-        The topic, for errors.
     """
 
     path: Path
@@ -293,25 +286,19 @@ def _bearings(geometry: ScanGeometry) -> FloatArray:
     return angles if np.abs(angles).max() <= 2.0 * np.pi else wrap_angle(angles)
 
 
+def is_one_of(ranges: FloatArray, values: Iterable[float]) -> NDArray[np.bool_]:
+    """Return which ranges, of any shape, are one of some values, as float32 holds them; NaN is equal to NaN here."""
+    found = np.zeros(ranges.shape, dtype=bool)
+    for value in values:
+        found |= np.isnan(ranges) if np.isnan(value) else ranges == float(np.float32(value))
+    return found
+
+
 def ordered_stamps(stamps: FloatArray, path: Path, topic: str, notes: list[str]) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return stamps sorted, and the order that sorts them.
+    """Return stamps (t,) sorted, and the order that sorts them.
 
-    Messages may overtake each other on the way to the recorder: that is sorted, and a note says so. A clock that runs
-    backwards is an error.
-
-    Parameters
-    ----------
-    stamps
-        (t,) seconds in the order of recording.
-    path, topic
-        For errors.
-    notes
-        Where to add a note.
-
-    Raises
-    ------
-    FormatError
-        If a stamp lies more than `STAMP_TOLERANCE` before one that was recorded earlier.
+    Messages may overtake each other on the way to the recorder: that is sorted, and a note added that says so. A clock
+    that runs backwards, by more than `STAMP_TOLERANCE`, is a FormatError.
     """
     latest = np.maximum.accumulate(stamps)
     behind = latest - stamps

@@ -20,25 +20,10 @@ def holds(topic: str, other: str) -> bool:
 
 
 def transform_topics(path: Path, tf_topics: Sequence[str], scan_topics: Sequence[str]) -> list[str]:
-    """Return the topics of transforms that the scans' robot listens to.
+    """Return the topics of transforms that the scans' robot listens to: those whose namespace holds the scans, or all.
 
     Robots with a namespace of their own publish frames of the same names, each on a topic of its own.
-
-    Parameters
-    ----------
-    path
-        The bag, for errors.
-    tf_topics, scan_topics
-        Topics.
-
-    Returns
-    -------
-    Those whose namespace holds the scans; all if there is none.
-
-    Raises
-    ------
-    InvalidInputError
-        If the scans are of several robots.
+    InvalidInputError, which names the path, if the scans are of several robots.
     """
     heard = {scan: {tf for tf in tf_topics if holds(tf, scan)} for scan in scan_topics}
     most = max(heard.values(), key=len, default=set())

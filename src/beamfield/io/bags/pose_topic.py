@@ -28,16 +28,8 @@ SPARSE = 0.2  # seconds: poses further apart than this are bridged by odometry, 
 class PoseTopicCollector:
     """Collects the poses of one topic; they are checked when they are used, so that unused ones cannot stop a reader.
 
-    Parameters
-    ----------
-    path
-        The bag, for errors.
-    topic
-        The topic.
-    frame, child
-        The frames of the first message; `child` is empty where the type or the publisher does not say it.
-    is_odometry
-        Whether the messages are nav_msgs/Odometry.
+    Path and topic are for errors. The frames are those of the first message; `child` is empty where the type or the
+    publisher does not say it.
     """
 
     path: Path
@@ -85,7 +77,7 @@ class PoseTopicCollector:
 
 
 def poses_at(track: Track, stamps: FloatArray,
-             odometry_at: Callable[[FloatArray], FloatArray] | None = None) -> tuple[FloatArray, bool]:  # fmt: skip
+             odometry_at: Callable[[FloatArray], FloatArray] | None) -> tuple[FloatArray, bool]:  # fmt: skip
     """Return the poses (n, 3) of a track in the map at other times, and whether odometry bridged its gaps.
 
     A localiser publishes a pose when it has updated, every few decimetres, and none while the robot stands. Between two

@@ -25,24 +25,10 @@ TRUTH_NAMES = ("ground_truth", "groundtruth", "amcl_pose")
 
 @dataclass(eq=False)
 class BagContent:
-    """What was taken from a bag.
+    """What was taken from a bag: scans per topic, transforms, and the poses by topic that may be odometry or reference.
 
-    Parameters
-    ----------
-    path
-        The bag.
-    scans
-        The scans, one entry per topic.
-    frames
-        The transforms.
-    pose_topics
-        The poses that may serve as odometry or reference, by topic.
-    cones
-        Topics whose sensors have no frame of their own: the rangers of a drone.
-    ranger_odometry
-        The odometry of such a drone.
-    notes
-        What a user should know.
+    `cones` are topics whose sensors have no frame of their own, the rangers of a drone; `ranger_odometry` is that
+    drone's.
     """
 
     path: Path

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from beamfield.arguments import require
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.io.bags.laser_scan import LaserScans
+from beamfield.io.bags.laser_scan import LaserScans, is_one_of
 from beamfield.io.no_return import NoReturnRule, ResolvedRanges
 from beamfield.sensors import NoReturnPolicy
 
@@ -27,14 +27,8 @@ def resolve_limits(
     """Return the range limits: the given ones, else those that the messages declare.
 
     Given limits are rounded to float32, as the ranges are: a sensor that answers 5.6 for "no return" writes
-    5.599999904632568, which a max_range of 5.6 must include.
-
-    Raises
-    ------
-    FormatError
-        If the declared limits are not 0 <= range_min < range_max < inf and no others are given.
-    InvalidInputError
-        If a given limit is not a number, or not within the other.
+    5.599999904632568, which a max_range of 5.6 must include. InvalidInputError if one is not a number, or not within
+    the other; FormatError if none is given and the declared ones are not 0 <= range_min < range_max < inf.
     """
     low = scans.range_min if min_range is None else float(np.float32(min_range))
     high = scans.range_max if max_range is None else float(np.float32(max_range))
@@ -56,8 +50,9 @@ def resolve_scan_ranges(
 ) -> ResolvedRanges:
     """Return ranges in which the sensor's own values for "no return" are +inf, the limit, and what was done.
 
-    REP 117 needs no conversion: +inf, and what reaches max_range, is no return; NaN is no measurement; -inf, and what
-    falls short of min_range, is too close. Where a driver says it otherwise, "detect" looks for it:
+    REP 117, "Informational Distance Measurements", needs no conversion: +inf, and what reaches max_range, is no return;
+    NaN is no measurement; -inf, and what falls short of min_range, is too close. Where a driver says it otherwise,
+    "detect" looks for it:
 
     1. zeros, if they are at least `FREQUENT`, and less than `RARE` of the readings are +inf or any one value that
        reaches max_range: different ones are measurements, of a sensor that sees further than it declares;
@@ -68,25 +63,8 @@ def resolve_scan_ranges(
 
     A zero that is not explained so is not a range: it becomes NaN if min_range is 0 (else it is too close anyway).
 
-    Parameters
-    ----------
-    ranges
-        (t, k) metres, as published, of float32 precision.
-    min_range, max_range
-        The sensor's limits, metres.
-    rule
-        "detect"; "none" to convert nothing; or the values in metres that mean "no return" (NaN may be among them).
-    limit_given
-        Whether max_range comes from the user.
-
-    Raises
-    ------
-    InvalidInputError
-        If the rule is unknown.
-
-    References
-    ----------
-    REP 117, "Informational Distance Measurements".
+    The rule is "detect"; "none" to convert nothing; or the values in metres that mean "no return" (NaN may be among
+    them); InvalidInputError if it is another. The ranges (t, k) are those published, of float32 precision.
     """
     if rule == "none":
         return ResolvedRanges(ranges, max_range, NoReturnPolicy(explanation="not looked for, as asked"))
@@ -139,12 +117,9 @@ def _find_repeated_maximum(ranges: FloatArray, min_range: float) -> float | None
 
 
 def _given(ranges: FloatArray, max_range: float, values: tuple[float, ...]) -> ResolvedRanges:
-    mask = np.zeros(ranges.shape, dtype=bool)
-    for value in values:
-        mask |= np.isnan(ranges) if np.isnan(value) else ranges == float(np.float32(value))
     listed = ", ".join(f"{v:.6g}" for v in values)
     why = f"are one of the given values ({listed})"
-    return _converted(ranges, max_range, mask, tuple(float(v) for v in values), "given", why)
+    return _converted(ranges, max_range, is_one_of(ranges, values), tuple(float(v) for v in values), "given", why)
 
 
 def _converted(ranges: FloatArray, max_range: float, mask: NDArray[np.bool_], values: tuple[float, ...], origin: str,

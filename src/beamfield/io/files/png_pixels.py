@@ -23,23 +23,8 @@ _BLOCK = 2**18
 def require_all_pixels(file: BinaryIO, picture: PngImageFile) -> None:
     """Check that a PNG holds what its chunks and its header declare, before Pillow makes room for it.
 
-    Takes no memory, however large the picture.
-
-    Parameters
-    ----------
-    file
-        The open file; it stands where it stood afterwards.
-    picture
-        The file as Pillow opened it, its pixels not read yet.
-
-    Raises
-    ------
-    ValueError
-        If pixels are missing, or the data is damaged; the text says how.
-
-    References
-    ----------
-    Portable Network Graphics (third edition), sections 7.2, 8 and 10.
+    Takes no memory, however large the picture, and leaves the file where it stood. ValueError if pixels are missing, or
+    the data is damaged; the text says how. See Portable Network Graphics (third edition), sections 7.2, 8 and 10.
     """
     if len(picture.tile) != 1 or picture.tile[0][1] != (0, 0, *picture.size):
         raise ValueError("truncated, some pixels have no data")

@@ -27,16 +27,9 @@ SLOW = 60.0
 
 @dataclass(frozen=True, eq=False)
 class ScanStamps:
-    """Stamps, and where they come from.
+    """Stamps (t,) in seconds, not decreasing, and what was done about them.
 
-    Parameters
-    ----------
-    seconds
-        (t,) not decreasing.
-    column
-        Index of the column of the file they come from; None if they count the scans.
-    notes
-        What was done about them.
+    `column` is the column of the file that they come from; None if they count the scans.
     """
 
     seconds: FloatArray

@@ -80,23 +80,10 @@ class TextScans:
         pose: FloatArray = NO_POSE,
         odometry: FloatArray = NO_POSE,
     ) -> None:
-        """Add one scan.
+        """Add one scan of a line: ranges (k,) in metres as in the file, stamps in seconds, the preferred clock's first.
 
-        Parameters
-        ----------
-        line
-            Where it is.
-        ranges
-            (k,) metres, as in the file.
-        stamps
-            (c,) seconds, one per clock, in order of preference.
-        pose, odometry
-            (3,) metres and radians; NaN where the format has none.
-
-        Raises
-        ------
-        FormatError
-            If the scan is empty or the number of beams changes; line and counts are named.
+        The poses (3,) are NaN where the format has none. FormatError, with line and counts, if the scan is empty or the
+        number of beams changes.
         """
         if len(ranges) == 0:
             raise self.error(line, "the scan has no readings")
@@ -173,6 +160,7 @@ class TextScans:
             masked, rule=options.no_return, declared_max=declared_max, max_range=options.max_range
         )
         z = np.array(resolved.ranges)
+        z[:, stuck] = np.nan
         notes = [*time.notes, *(f"{self.name}: {note}" for note in resolved.notes)]
         for beam in np.flatnonzero(stuck):
             value = float(raw[0, beam])

@@ -46,27 +46,12 @@ class MapImage:
 def read_map_image(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) -> MapImage:
     """Read a picture as 8-bit grey levels, as map_server does.
 
-    Parameters
-    ----------
-    path
-        PGM (P2 or P5, 8 or 16 bits), PNG (grey, RGB or palette, any depth, with or without transparency) or BMP. What
-        it is follows from its content.
-    max_pixels
-        Pictures with more pixels are refused before they are decoded.
+    It is a PGM (P2 or P5, 8 or 16 bits), PNG (grey, RGB or palette, any depth, with or without transparency) or BMP;
+    which of them follows from its content. Deeper levels become round(255 level / maxval). Colours become their Rec.
+    709 luma, as in ImageMagick, which nav2 reads with; ROS 1 took the mean of the channels. Both agree on grey.
 
-    Raises
-    ------
-    FormatError
-        If the content is none of these, too large, damaged, or has fewer pixels than its header declares.
-    InvalidInputError
-        If `max_pixels` is not positive.
-    OSError
-        As the file system says.
-
-    Notes
-    -----
-    Deeper levels become round(255 level / maxval). Colours become their Rec. 709 luma, as in ImageMagick, which
-    nav2 reads with; ROS 1 took the mean of the channels. Both agree on grey.
+    FormatError if it is none of these, has more than `max_pixels` (found before they are decoded) or fewer than its
+    header declares, or is damaged; InvalidInputError if `max_pixels` is not positive.
     """
     if max_pixels < 1:
         raise InvalidInputError(f"max_pixels: expected at least 1, got {max_pixels}")

@@ -74,7 +74,7 @@ def precompute_ranges(
     return table_in_file(path, plan, progress)
 
 
-def table_in_file(path: str | os.PathLike[str], plan: RangeTablePlan, progress: Progress | None = None) -> RangeTable:
+def table_in_file(path: str | os.PathLike[str], plan: RangeTablePlan, progress: Progress | None) -> RangeTable:
     """Do what `precompute_ranges` does, for a plan."""
     # Read at the end, too, as another program may have put its own there in the meantime.
     while (table := _current(Path(path), plan)) is None:
@@ -84,22 +84,10 @@ def table_in_file(path: str | os.PathLike[str], plan: RangeTablePlan, progress: 
 
 @checked
 def read_range_table(path: str | os.PathLike[str], grid: OccupancyGrid) -> RangeTable:
-    """Read a file of pre-cached ranges.
+    """Read a file of pre-cached ranges, whose codes are mapped into memory.
 
-    Returns
-    -------
-    The table; its codes are mapped into memory.
-
-    Raises
-    ------
-    FormatError
-        If the file is something else, of another map, of another version, or not whole.
-    OSError
-        As the file system says.
-
-    Notes
-    -----
-    The codes are not looked at: any values are ranges from 0 to the longest one.
+    The codes are not looked at: any values are ranges from 0 to the longest one. FormatError if the file is something
+    else, of another map, of another version, or not whole; OSError as the file system says.
     """
     source = Path(path)
     # Opened once: the next moment, another file may have this name.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,18 +70,13 @@ def _write(stream: rerun.RecordingStream, recording: Recording) -> None:
     log = recording.log
     time = log.stamps - log.stamps[0] if len(log) else log.stamps
     _write_map(stream, recording.grid)
-    for (name, poses), colour in zip(recording.paths.items(), _repeated(COLOURS), strict=False):
+    for (name, poses), colour in zip(recording.paths.items(), cycle(COLOURS), strict=False):
         _write_path(stream, name, poses, colour)
     _write_robot(stream, recording, time)
     _write_scans(stream, recording, time)
     _write_particles(stream, recording, time)
     for name, values in recording.numbers.items():
         _write_numbers(stream, name, values, time)
-
-
-def _repeated(colours: Any) -> Any:
-    while True:
-        yield from colours
 
 
 def _write_map(stream: rerun.RecordingStream, grid: OccupancyGrid) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield import __version__
+from beamfield.cli import options
 from beamfield.cli.calibrate_replay import MAP_NAME, replay_fit, shifted_map_file
 from beamfield.cli.report_part import StackPart
 from beamfield.cli.terminal import complain, line_width
@@ -61,10 +62,8 @@ def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
             f"--reference-error: expected 0 to {WindowOptions().spread:g} m, without 0, got {arguments.reference_error}"
         )
     if arguments.stack is None:
-        for name in ("model", "patch", "section", "keep_map"):
-            if getattr(arguments, name) not in (None, False):
-                option = name.replace("_", "-")
-                raise InvalidInputError(f"--{option}: is for another program's model, name it with --stack")
+        names = ("model", "patch", "section", "keep_map")
+        options.refuse(arguments, names, "is for another program's model, name it with --stack")
         return None
     from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file
     from beamfield.stacks.files.typed_values import checked_values

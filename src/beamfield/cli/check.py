@@ -157,11 +157,11 @@ def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     grid = options.read_walls(arguments)
     progress("reading the log", 0, 1)
     start = options.start_of(arguments)
-    sensor, log, fitted, notes = _sensor(arguments, arguments.log, arguments.poses, grid, progress, start)
+    sensor, log, fitted, notes = _sensor(arguments, arguments.log, arguments.poses, start, grid, progress)
     is_own = arguments.good is None
     good, more = log, tuple[str, ...]()
     if not is_own:
-        _, good, _, more = _sensor(arguments, arguments.good, arguments.good_poses, grid, progress)
+        _, good, _, more = _sensor(arguments, arguments.good, arguments.good_poses, None, grid, progress)
     if fitted is not None and fitted.instead_of is not None:
         # The scans tell what good ones are where they were taken; the log's own poses are what is judged.
         log = sensor
@@ -201,14 +201,12 @@ def _read_reference(path: Path) -> ScanFitReference:
 
 
 def _sensor(
-    arguments: argparse.Namespace, path: Path, poses: Path | None, grid: OccupancyGrid, progress: StageProgress,
-    start: Start = None,
+    arguments: argparse.Namespace, path: Path, poses: Path | None, start: Start, grid: OccupancyGrid,
+    progress: StageProgress,
 ) -> tuple[SensorLog, SensorLog, FittedPoses | None, tuple[str, ...]]:  # fmt: skip
     """Return the sensor as it is, and with poses, its own or fitted to the map; what was fitted, and notes."""
     sensor, notes = options.read_sensor(arguments, path, poses)
-    posed, fitted, found = posed_log(
-        sensor, grid, arguments, progress, path=path, start=start, are_given=poses is not None
-    )
+    posed, fitted, found = posed_log(sensor, grid, arguments, progress, path, poses, start)
     return sensor, posed, fitted, (*notes, *(finding.full_text for finding in found))
 
 

@@ -185,9 +185,7 @@ def _read_logs(
         sensor, noticed = options.read_sensor(arguments, path, reference)
         options.require_odometry(sensor, path)
         start = options.start_of(arguments)
-        logs[name], _, found = posed_log(
-            sensor, grid, arguments, progress, path=path, start=start, are_given=reference is not None
-        )
+        logs[name], _, found = posed_log(sensor, grid, arguments, progress, path, reference, start)
         notes += [f"{name}: {note}" for note in (*noticed, *(finding.full_text for finding in found))]
     return logs, notes
 

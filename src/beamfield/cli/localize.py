@@ -98,15 +98,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.cli.film import Film
     from beamfield.cli.localize_summary import ended_at, run_facts, run_summary, sure_from
     from beamfield.finding import worst_first
-    from beamfield.io.files.atomic import check_folder_writable, check_writable
+    from beamfield.io.files.atomic import check_folder_writable
     from beamfield.localization.lost_robot import find_lost_robot, lost_not_judged
     from beamfield.localization.trajectory_trust import time_gaps
 
     check_folder_writable(arguments.out)
-    if arguments.animation is not None:
-        if arguments.animation.suffix.lower() != ".gif":
-            raise InvalidInputError(f"--animation: expected a name ending in .gif, got {arguments.animation.name!r}")
-        check_writable(arguments.animation)
+    options.check_output(arguments.animation, "animation", ".gif")
     check_recordings(arguments)
     with options.progress(arguments) as progress:
         grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
@@ -151,8 +148,7 @@ def _with_poses_that_hold(
 
     if not sensor.has_poses:
         return sensor, ()
-    are_given = arguments.poses is not None
-    log, fitted, found = posed_log(sensor, grid, arguments, progress, path=arguments.log, are_given=are_given)
+    log, fitted, found = posed_log(sensor, grid, arguments, progress, arguments.log, arguments.poses, None)
     told = found if fitted is not None else (one for one in found if one.name in REFUTED)
     return log, tuple(one.full_text for one in told)
 

@@ -86,11 +86,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
 def _picture(arguments: argparse.Namespace) -> Path:
     from beamfield.io.files.atomic import check_writable
 
-    out: Path = arguments.out
-    if out.suffix.lower() not in (".tum", ".txt"):
-        raise InvalidInputError(f"--out: expected a name ending in .tum or .txt, got {out.name!r}")
-    picture = out.with_suffix(".png")
-    check_writable(out)
+    options.check_output(arguments.out, "out", ".tum", ".txt")
+    picture: Path = arguments.out.with_suffix(".png")
     check_writable(picture)
     return picture
 

@@ -98,7 +98,6 @@ def fit_for_stack(
     job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration, motion: Mapping[str, Any]
 ) -> StackPart:
     """Fit models of the stack, choose one, and return what comes of it; `motion` goes into its file, too."""
-    from beamfield.report.escape import escaped
     from beamfield.report.page_section import PageSection
     from beamfield.report.stack_result import StackResult
     from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
@@ -111,9 +110,9 @@ def fit_for_stack(
         best = _best(fits)
     except TooLittleDataError as error:
         why = f"no values for {stack}: {error}"
-        section = PageSection("stack", f"For {stack}", f"<p>{escaped(why)}</p>")
+        section = PageSection.without("stack", f"For {stack}", why)
         document = {"stack": stack, "missing": str(error), "verdict": why}
-        return StackPart("stack", why, document, section, {}, doubt=why, problem=why)
+        return StackPart("stack", why, document, section, doubt=why, problem=why)
     # A file's own model stays unless replay says otherwise.
     own, others = (best, []) if job.patched is None else (fits[0], fits[1:])
     choice, why_not = replay_fit(job, sensor, grid, own, others, motion)

@@ -16,7 +16,6 @@ for example:
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,7 +92,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
     from beamfield.models.sonar import model_of_sensor
-    from beamfield.report.places_figure import places_as_dict
+    from beamfield.report.as_json import plain
     from beamfield.report.scan_fit_page import fit_as_dict, fit_table
     from beamfield.scan_fit.lost import LostRates
     from beamfield.scan_fit.scan_fit import judge_log
@@ -123,7 +122,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             "notes": [*given.notes, *([problem] if problem else [])],
             NAME: as_document(given.fitted),
             **fit_as_dict(fits, reference, worst, own=given.is_own),
-            "changed_places": None if places is None else places_as_dict(places),
+            "changed_places": plain(places),
         }
         files = _files(fits, worst, places, model, reference, given, document, in_options(problem))
     with atomic_folder(arguments.out) as folder:
@@ -288,6 +287,7 @@ def _files(
     problem: str,
 ) -> dict[str, str]:
     from beamfield.io.parameters.beam_model_file import beam_model_text
+    from beamfield.report.as_json import json_text
     from beamfield.report.places_figure import places_figure
     from beamfield.report.scan_fit_figures import fit_over_time, worst_scans
     from beamfield.report.scan_fit_page import fit_csv, render_fit_page
@@ -300,7 +300,7 @@ def _files(
     origin = document["provenance"]
     title = f"Do the scans of {origin['inputs']['log']['name']} fit the map?"
     return {
-        "scan_fit.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
+        "scan_fit.json": json_text(document),
         "scan_fit.csv": fit_csv(fits),
         "scan_fit.html": render_fit_page(title, fits, reference, [f for f in drawn if f is not None], origin, problem),
         "beam_model.yaml": beam_model_text(model.parameters, given.log.finder, provenance=origin),

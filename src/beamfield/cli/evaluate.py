@@ -16,7 +16,6 @@ for example:
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -78,6 +77,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Read, replay, compare, write."""
     from beamfield.figures.gallery import save_figure
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
+    from beamfield.report.as_json import json_text
     from beamfield.report.evaluation import evaluation_as_dict, evaluation_csv, evaluation_line, evaluation_tables
     from beamfield.report.evaluation_figure import evaluation_figure
     from beamfield.stacks.files.filter_file import read_filter_settings
@@ -102,8 +102,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
             **evaluation_as_dict(evaluation),
         }
         with atomic_folder(arguments.out) as folder:
-            (folder / "evaluation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-            (folder / "evaluation.csv").write_text(evaluation_csv(evaluation))
+            (folder / "evaluation.json").write_text(json_text(document), encoding="utf-8")
+            (folder / "evaluation.csv").write_text(evaluation_csv(evaluation), encoding="utf-8")
             save_figure(evaluation_figure(evaluation), folder / "evaluation.svg")
             written = sorted(path.name for path in folder.iterdir())
             log = next(iter(logs.values()))

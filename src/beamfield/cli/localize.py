@@ -19,7 +19,6 @@ for example:
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
@@ -307,6 +306,7 @@ def _write(
     from beamfield.io.files.atomic import atomic_folder, write_file
     from beamfield.io.filter_run import PARTICLES, TRAJECTORY, write_particles
     from beamfield.io.trajectory import write_tum
+    from beamfield.report.as_json import json_text
     from beamfield.sensors import Track
 
     known = np.isfinite(found.poses).all(axis=1)
@@ -315,8 +315,7 @@ def _write(
         write_particles(folder / PARTICLES, film.clouds(log.stamps))
         sure_after = document["sure_after_s"] if document["start"] is None else 0.0
         save_figure(localization_figure(found, log, grid, sure_after=sure_after), folder / "localization.png")
-        text = json.dumps(document, indent=1, allow_nan=False)
-        (folder / "localization.json").write_text(f"{text}\n", encoding="utf-8")
+        (folder / "localization.json").write_text(json_text(document), encoding="utf-8")
         names = sorted(path.name for path in folder.iterdir())
         recorded = write_recordings(arguments, lambda: _recording(found, log, grid, film))
         if arguments.animation is not None:

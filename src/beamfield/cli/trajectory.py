@@ -93,7 +93,9 @@ def _picture(arguments: argparse.Namespace) -> Path:
 
 
 def _outcome(fit: TrajectoryFit, notes: tuple[str, ...], wrote: list[Path]) -> Outcome:
-    found = "\n".join(f"{finding.severity} ({finding.name}): {finding.full_text}" for finding in fit.findings)
+    from beamfield.report.text_table import finding_line
+
+    found = "\n".join(map(finding_line, fit.findings))
     problem = ""
     if not fit.trusted.all():
         problem = f"{(~fit.trusted).mean():.1%} of the scans are not trusted"

@@ -138,9 +138,7 @@ def _read_files(arguments: argparse.Namespace) -> tuple[dict[str, StackFile], li
     notes: list[str] = []
     for name, path in _short_names(arguments.params).items():
         file = files[name] = read_stack_file(path, stack=arguments.stack, section=arguments.section)
-        if not file.stack_is_certain:
-            others = " or ".join(other for other in file.possible if other != file.stack)
-            notes.append(f"{name}: read as {file.stack}'s; pass --stack {others} if that is what the robot runs")
+        notes += [f"{name}: {file.uncertainty}"] if file.uncertainty else []
         notes += file.unread
     return files, notes
 

@@ -101,10 +101,7 @@ def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[st
         file, arguments.to, model=arguments.to_model, max_range=arguments.max_range, n_beams=arguments.beams,
         resolution=arguments.resolution,
     )  # fmt: skip
-    others = " or ".join(file.possible[1:])
-    said = f"read as {file.stack}'s file; pass --stack {others} if that is what the robot runs"
-    more = [] if file.stack_is_certain else [said]
-    return result, f"{file.stack} {file.model}", more
+    return result, f"{file.stack} {file.model}", [file.uncertainty] if file.uncertainty else []
 
 
 def _translate_beam_model(arguments: argparse.Namespace) -> tuple[Translation, str, list[str]]:

@@ -31,8 +31,7 @@ from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.fit.fit import fit_stack
 from beamfield.stacks.fit.particle_update import update_particles
-from beamfield.stacks.fit.posterior_score import score_windows
-from beamfield.stacks.fit.window_evidence import gather_evidence
+from beamfield.stacks.fit.window_evidence import gather_evidence, score_windows
 from beamfield.stacks.registry import STACKS, build_model, parameter_class
 
 WEAN = "wean_hall/derived_wean.yaml"

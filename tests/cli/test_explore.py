@@ -66,7 +66,7 @@ def test_a_port_in_use_is_refused_before_anything_is_read(world, served, capsys)
 
 
 def test_bad_input_is_refused_before_anything_is_served(world, served, capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("beamfield.cli.explore.posed_log", None)  # takes long
+    monkeypatch.setattr("beamfield.cli.explore.posed_as_asked", None)  # takes long
     assert explore(world, "--port", "70000") == 2
     assert "65535" in capsys.readouterr().err
     (tmp_path / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: high\n")

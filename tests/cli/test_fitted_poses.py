@@ -169,9 +169,8 @@ def test_doctor_counts_what_is_wrong_with_the_poses(world: Path, lost: str, tmp_
 def test_poses_of_a_file_that_the_user_names_are_taken_as_they_are(world: Path, lost: str):
     log, grid = read_log(world / lost).only_sensor(), read_map(world / "map.yaml")
     with StageProgress(quiet=True) as progress:
-        posed, fitted, found = posed_log(
-            log, grid, argparse.Namespace(), progress, path=world / lost, are_given=True
-        )  # fmt: skip
+        path, poses = world / lost, world / "named.tum"
+        posed, fitted, found = posed_log(log, grid, argparse.Namespace(), progress, path, poses, None)
     assert fitted is None
     assert posed is log
     assert {"map-disagrees", "reference-slides"} & {one.name for one in found}
@@ -336,7 +335,7 @@ def test_what_cannot_be_fitted_is_refused_with_what_helps(change: dict, message:
     with pytest.raises(BeamfieldError) as refused:
         posed_log(
             replace(log, **change), OccupancyGrid.from_ros(cells, resolution=0.1), arguments,
-            StageProgress(quiet=True), path=Path("run.bag"),
+            StageProgress(quiet=True), Path("run.bag"), None, None,
         )  # fmt: skip
     assert str(refused.value).startswith(message)
 

@@ -197,7 +197,7 @@ def test_a_log_is_drawn_over_a_map(capsys, log_path, map_path, tmp_path):
 
 def test_a_picture_in_an_unknown_format_is_refused_before_anything_is_read(capsys, tmp_path):
     error = refused(capsys, tmp_path / "none.yaml", "--out", tmp_path / "a.exe", code=2)
-    assert "--out: expected a name ending in .png, .svg, .pdf, got 'a.exe'" in error
+    assert "--out: expected a name ending in .png, .svg or .pdf, got 'a.exe'" in error
 
 
 @pytest.mark.parametrize("suffix", options.PICTURES)

@@ -157,7 +157,7 @@ def test_parameters_come_from_a_calibration(folder, tmp_path, capsys):
         ({"map_name": "empty.yaml"}, "the map has no occupied cell", 1),
         ({"map_name": "solid.yaml"}, "the map has no free cell", 1),
         (("--sensor", "RLASER"), "no sensor 'RLASER'; the log has 'FLASER'", 2),
-        (("--out", "a.gif"), "expected a name ending in .png, .svg, .pdf, got 'a.gif'", 2),
+        (("--out", "a.gif"), "expected a name ending in .png, .svg or .pdf, got 'a.gif'", 2),
         (("--npz", "a.csv"), "expected a name ending in .npz, got 'a.csv'", 2),
         (("--out", "/dev/null/a.png"), "/dev/null: Not a directory", 1),
         (("--beams", "-3"), "--beams: expected a whole number >= 0, got '-3'", 2),

@@ -26,9 +26,16 @@ from beamfield.simulation.floor_plan import draw_floor_plan
 from tests.fleet.small_fleet import NOON, part_of, write_log
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def run(drive: SensorLog) -> SensorLog:
     return part_of(drive, 0, NOON, 200)
+
+
+@pytest.fixture(scope="module")
+def lost_scan(run, office, tmp_path_factory) -> tuple[RunRecord, Path]:
+    """The record of a robot that got lost, and the folder of its catalogue."""
+    folder = tmp_path_factory.mktemp("lost")
+    return scanned(folder, lost(run), office), folder
 
 
 def scanned(folder: Path, log: SensorLog, grid: OccupancyGrid, **row: str) -> RunRecord:
@@ -42,6 +49,16 @@ def scanned(folder: Path, log: SensorLog, grid: OccupancyGrid, **row: str) -> Ru
     return record
 
 
+def around(log: SensorLog, grid: OccupancyGrid, margin: float = 3.0) -> OccupancyGrid:
+    """The part of the map about the drive: a search that finds no start is costly by the area."""
+    corner = np.asarray(grid.origin[:2])
+    places = log.poses[:, :2]
+    low = np.floor((places.min(axis=0) - margin - corner) / grid.resolution).astype(int).clip(0)
+    high = np.ceil((places.max(axis=0) + margin - corner) / grid.resolution).astype(int)
+    part = grid.probability[low[1] : high[1], low[0] : high[0]]
+    return OccupancyGrid(part, grid.resolution, [*(corner + low * grid.resolution), 0.0])
+
+
 def lost(log: SensorLog, since: float = 0.4) -> SensorLog:
     """The robot's own poses drift 6 m away after that share of the run."""
     poses = log.poses.copy()
@@ -49,8 +66,8 @@ def lost(log: SensorLog, since: float = 0.4) -> SensorLog:
     return replace(log, poses=poses)
 
 
-def test_a_lost_robots_poses_are_fitted_and_it_is_said_how_far_off_it_was(run, office, tmp_path):
-    record = scanned(tmp_path, lost(run), office)
+def test_a_lost_robots_poses_are_fitted_and_it_is_said_how_far_off_it_was(lost_scan):
+    record, _ = lost_scan
     assert (record.status, record.pose_source) == ("used", "fitted")
     (finding,) = (one for one in record.findings if one.name == "robot-lost")
     assert finding.values["largest_m"] == pytest.approx(6.0, abs=0.1)
@@ -78,21 +95,21 @@ def test_a_robot_that_is_lost_after_a_restart_is_found_by_its_scans(run, office,
 
 def test_a_map_that_is_out_of_date_in_part_loses_no_robot(run, tmp_path):
     # An office of nearly the same plan: the poses are those of the drive.
-    record = scanned(tmp_path, run[::3], draw_floor_plan(seed=11))
+    record = scanned(tmp_path, run[::3], around(run, draw_floor_plan(seed=11)))
     assert [one.name for one in record.findings] == ["map-disagrees-in-part", "pose-in-wall"]
     assert (record.status, record.pose_source) == ("used", "log")
 
 
-def test_beams_of_a_lost_robot_are_cast_where_it_was(run, office, tmp_path):
-    scanned(tmp_path, lost(run), office)
-    (shard,) = open_catalogue(str(tmp_path / "catalogue")).shards()
+def test_beams_of_a_lost_robot_are_cast_where_it_was(run, lost_scan):
+    _, folder = lost_scan
+    (shard,) = open_catalogue(str(folder / "catalogue")).shards()
     rows = shard.read(["scan", "x", "y"])
     off = np.hypot(*(np.column_stack([rows["x"], rows["y"]]) - run.poses[rows["scan"], :2]).T)
     assert off.max() < 0.2
 
 
 def test_a_run_in_a_wrong_map_is_left_out_and_the_robot_is_amber(run, tmp_path):
-    record = scanned(tmp_path, run[::3], draw_floor_plan(seed=12))
+    record = scanned(tmp_path, run[::3], around(run, draw_floor_plan(seed=12)))
     assert (record.status, record.files) == ("left out", ())
     assert record.reason.startswith("the robot was lost, or this is not the map: At the reference poses, ")
     assert "map-disagrees" in [finding.name for finding in record.findings]

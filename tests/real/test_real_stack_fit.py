@@ -13,8 +13,7 @@ from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.fit.fit import StackFit, fit_stack, net_score
-from beamfield.stacks.fit.posterior_score import score_windows
-from beamfield.stacks.fit.window_evidence import gather_evidence
+from beamfield.stacks.fit.window_evidence import gather_evidence, score_windows
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import build_model
 

@@ -13,7 +13,8 @@ import pytest
 from PIL import Image
 
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.report.places_figure import COLOURS, places_as_dict, places_figure
+from beamfield.report.as_json import json_text, plain
+from beamfield.report.places_figure import COLOURS, places_figure
 from beamfield.scan_fit.changed_places import KINDS, ChangedPlace, ChangedPlaces
 
 GRID = OccupancyGrid.from_ros(np.zeros((80, 80), int), 0.1)
@@ -78,7 +79,7 @@ def test_places_that_do_not_last_need_no_table_and_none_no_picture(found):
 
 
 def test_json_holds_all_places(found):
-    document = json.loads(json.dumps(places_as_dict(found), allow_nan=False))
+    document = json.loads(json_text(plain(found)))
     assert [p["kind"] for p in document["places"]] == ["new obstacle", "missing wall", "passing (people)", "undecided"]
     assert document["places"][0]["interval"] == [0.25, 0.75]
     assert len(document["places"][0]["corners"]) == 16

@@ -10,7 +10,15 @@ import pytest
 from beamfield.calibration.calibrate import CalibrationOptions
 from beamfield.finding import Finding
 from beamfield.report.parameter_rows import decimals_for, parameter_rows
-from beamfield.report.text_table import aligned, form_line, parameter_table, plus_minus, readings_line, score_table
+from beamfield.report.text_table import (
+    aligned,
+    form_line,
+    parameter_table,
+    plus_minus,
+    readings_line,
+    score_table,
+    warning_lines,
+)
 from beamfield.report.verdict import DOUBTS, verdict, verdict_level
 
 
@@ -210,3 +218,9 @@ def test_the_form_says_what_was_chosen_and_for_what_gain(case):
 )
 def test_unknown_errors_and_infinite_values_are_words(value, error, text):
     assert plus_minus(value, error) == text
+
+
+def test_errors_are_said_as_well_as_warnings():
+    """A landmark sensor whose bearings have nothing to do with the landmarks has no other warning."""
+    findings = [Finding("bearing-unrelated", "error", "Wrong."), Finding("small", "info", "Fine.")]
+    assert warning_lines(findings) == ["error (bearing-unrelated): Wrong."]

@@ -20,8 +20,7 @@ from beamfield.stacks.emulation.emulator import Evidence, StackModel
 from beamfield.stacks.fit.fit import fit_stack, net_score
 from beamfield.stacks.fit.fit_space import fit_space
 from beamfield.stacks.fit.particle_update import update_particles
-from beamfield.stacks.fit.posterior_score import score_windows
-from beamfield.stacks.fit.window_evidence import gather_evidence
+from beamfield.stacks.fit.window_evidence import gather_evidence, score_windows
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import STACKS, build_model, model_named, parameter_class
 from tests.conftest import TRUTH

@@ -25,7 +25,8 @@ def learn_beam_exponent(
     """Learn the exponent of the beam model from the log and the map that its parameters were learned from."""
     from beamfield.calibration.context.exponent import learn_exponent
     from beamfield.models.sonar import model_of_sensor
-    from beamfield.report.exponent_section import exponent_as_dict, exponent_missing, exponent_section, exponent_table
+    from beamfield.report.exponent_section import ANCHOR, TITLE, exponent_as_dict, exponent_section, exponent_table
+    from beamfield.report.page_section import PageSection
 
     job.progress("learning how much beams count", 0, 1)
     unknown: Literal["free", "occupied"] = "occupied" if result.options.unknown == "occupied" else "free"
@@ -42,5 +43,6 @@ def learn_beam_exponent(
     except TooLittleDataError as error:
         why = str(error)
         table = f"how many independent beams a scan is worth was not learned: {why}"
-        return ReportPart(NAME, table, {"missing": why}, exponent_missing(why), {}), None
-    return ReportPart(NAME, exponent_table(learned), exponent_as_dict(learned), exponent_section(learned), {}), learned
+        section = PageSection.without(ANCHOR, TITLE, f"Not learned: {why}.")
+        return ReportPart(NAME, table, {"missing": why}, section), None
+    return ReportPart(NAME, exponent_table(learned), exponent_as_dict(learned), exponent_section(learned)), learned

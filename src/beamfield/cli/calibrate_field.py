@@ -21,7 +21,8 @@ def learn_field(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, res
     """Learn the likelihood field from the log and the map that the beam model was learned from."""
     from beamfield.calibration.field.learning import learn_field_parameters
     from beamfield.report.as_json import plain
-    from beamfield.report.field_section import field_missing, field_section, field_tables
+    from beamfield.report.field_section import ANCHOR, TITLE, field_section, field_tables
+    from beamfield.report.page_section import PageSection
     from beamfield.report.results import field_text
 
     job.progress("learning the likelihood field", 0, 1)
@@ -37,7 +38,8 @@ def learn_field(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, res
         )
     except TooLittleDataError as error:
         why = str(error)
-        return ReportPart(NAME, f"no likelihood field: {why}", {"missing": why}, field_missing(why), {})
+        section = PageSection.without(ANCHOR, TITLE, f"Not learned: {why}.")
+        return ReportPart(NAME, f"no likelihood field: {why}", {"missing": why}, section)
     text = field_text(learned, provenance=job.origin)
     return ReportPart(
         NAME, field_tables(learned, width=line_width()), plain(learned), field_section(learned, text),

@@ -82,5 +82,5 @@ def judge_fitted(job: CalibrationJob, fitted: CrossFittedPoses, grid: OccupancyG
     return ReportPart(
         NAME, f"{sentence} What was measured about the fit: report.html, {TITLE!r}.",
         fitted_poses_as_dict(fitted, results, error),
-        fitted_poses_section(sentence, fitted, results, given=job.error_is_given), {}, findings,
+        fitted_poses_section(sentence, fitted, results, given=job.error_is_given), findings=findings,
     )  # fmt: skip

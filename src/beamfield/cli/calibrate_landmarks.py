@@ -95,11 +95,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 def _summary(result: LandmarkLearningResult) -> str:
     from beamfield.report.landmark_table import landmark_parameter_table
+    from beamfield.report.text_table import finding_line
 
     lines = [f"{result.n_sightings} sightings in {result.n_blocks} blocks\n", landmark_parameter_table(result)]
     if result.findings:
         lines.append("")
-    lines += [f"{finding.severity} ({finding.name}): {printable(finding.full_text)}" for finding in result.findings]
+    lines += [finding_line(finding, printable) for finding in result.findings]
     return "\n".join(lines)
 
 

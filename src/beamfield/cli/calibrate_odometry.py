@@ -22,7 +22,8 @@ def learn_odometry(job: CalibrationJob, sensor: SensorLog) -> tuple[ReportPart, 
     from beamfield.calibration.odometry.learning import calibrate_odometry
     from beamfield.calibration.odometry.result import OdometryOptions
     from beamfield.calibration.pose_windows import REFERENCE_LEVER
-    from beamfield.report.odometry_section import odometry_as_dict, odometry_missing, odometry_section, odometry_tables
+    from beamfield.report.odometry_section import ANCHOR, TITLE, odometry_as_dict, odometry_section, odometry_tables
+    from beamfield.report.page_section import PageSection
 
     job.progress("calibrating the odometry", 0, 1)
     error = job.arguments.reference_error
@@ -31,12 +32,12 @@ def learn_odometry(job: CalibrationJob, sensor: SensorLog) -> tuple[ReportPart, 
         result = calibrate_odometry(sensor, options)
     except TooLittleDataError as missing:
         why = f"odometry not calibrated: {missing}"
-        part = ReportPart(NAME, why, {"missing": str(missing)}, odometry_missing(str(missing)), {}, problem=why)
-        return part, {}
+        section = PageSection.without(ANCHOR, TITLE, f"Not calibrated: {missing}.")
+        return ReportPart(NAME, why, {"missing": str(missing)}, section, problem=why), {}
     programs, stack = _by_program(result), job.arguments.stack
     shown = {stack: programs[stack]} if stack in programs else programs
     tables = odometry_tables(result, shown, width=line_width())
-    part = ReportPart(NAME, tables, odometry_as_dict(result, programs), odometry_section(result, shown), {})
+    part = ReportPart(NAME, tables, odometry_as_dict(result, programs), odometry_section(result, shown))
     return part, _for_stack(job.arguments.stack, job.patched, result)
 
 

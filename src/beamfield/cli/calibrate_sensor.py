@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -22,7 +21,7 @@ from beamfield.cli.wording import in_options
 from beamfield.errors import about_file
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
-from beamfield.report.as_json import calibration_as_dict
+from beamfield.report.as_json import calibration_as_dict, json_text
 from beamfield.report.results import calibration_details, calibration_text
 from beamfield.report.verdict import doubts
 from beamfield.scan_fit.calibration_fit import fit_of_calibration
@@ -129,7 +128,7 @@ class CalibrationJob:
         )
         files = {
             "beam_model.yaml": model,
-            "calibration.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
+            "calibration.json": json_text(document),
             "report.html": page,
             **{name: text for part in parts for name, text in part.files.items()},
         }

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield import __version__
+from beamfield.cli import options
 from beamfield.cli.calibrate_replay import MAP_NAME, replay_fit, shifted_map_file
 from beamfield.cli.report_part import StackPart
 from beamfield.cli.terminal import complain, line_width
@@ -61,10 +62,8 @@ def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
             f"--reference-error: expected 0 to {WindowOptions().spread:g} m, without 0, got {arguments.reference_error}"
         )
     if arguments.stack is None:
-        for name in ("model", "patch", "section", "keep_map"):
-            if getattr(arguments, name) not in (None, False):
-                option = name.replace("_", "-")
-                raise InvalidInputError(f"--{option}: is for another program's model, name it with --stack")
+        names = ("model", "patch", "section", "keep_map")
+        options.refuse(arguments, names, "is for another program's model, name it with --stack")
         return None
     from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file
     from beamfield.stacks.files.typed_values import checked_values
@@ -99,7 +98,6 @@ def fit_for_stack(
     job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration, motion: Mapping[str, Any]
 ) -> StackPart:
     """Fit models of the stack, choose one, and return what comes of it; `motion` goes into its file, too."""
-    from beamfield.report.escape import escaped
     from beamfield.report.page_section import PageSection
     from beamfield.report.stack_result import StackResult
     from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
@@ -112,9 +110,9 @@ def fit_for_stack(
         best = _best(fits)
     except TooLittleDataError as error:
         why = f"no values for {stack}: {error}"
-        section = PageSection("stack", f"For {stack}", f"<p>{escaped(why)}</p>")
+        section = PageSection.without("stack", f"For {stack}", why)
         document = {"stack": stack, "missing": str(error), "verdict": why}
-        return StackPart("stack", why, document, section, {}, doubt=why, problem=why)
+        return StackPart("stack", why, document, section, doubt=why, problem=why)
     # A file's own model stays unless replay says otherwise.
     own, others = (best, []) if job.patched is None else (fits[0], fits[1:])
     choice, why_not = replay_fit(job, sensor, grid, own, others, motion)

@@ -16,7 +16,6 @@ for example:
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,7 +92,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
     from beamfield.models.sonar import model_of_sensor
-    from beamfield.report.places_figure import places_as_dict
+    from beamfield.report.as_json import plain
     from beamfield.report.scan_fit_page import fit_as_dict, fit_table
     from beamfield.scan_fit.lost import LostRates
     from beamfield.scan_fit.scan_fit import judge_log
@@ -123,7 +122,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             "notes": [*given.notes, *([problem] if problem else [])],
             NAME: as_document(given.fitted),
             **fit_as_dict(fits, reference, worst, own=given.is_own),
-            "changed_places": None if places is None else places_as_dict(places),
+            "changed_places": plain(places),
         }
         files = _files(fits, worst, places, model, reference, given, document, in_options(problem))
     with atomic_folder(arguments.out) as folder:
@@ -157,11 +156,11 @@ def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     grid = options.read_walls(arguments)
     progress("reading the log", 0, 1)
     start = options.start_of(arguments)
-    sensor, log, fitted, notes = _sensor(arguments, arguments.log, arguments.poses, grid, progress, start)
+    sensor, log, fitted, notes = _sensor(arguments, arguments.log, arguments.poses, start, grid, progress)
     is_own = arguments.good is None
     good, more = log, tuple[str, ...]()
     if not is_own:
-        _, good, _, more = _sensor(arguments, arguments.good, arguments.good_poses, grid, progress)
+        _, good, _, more = _sensor(arguments, arguments.good, arguments.good_poses, None, grid, progress)
     if fitted is not None and fitted.instead_of is not None:
         # The scans tell what good ones are where they were taken; the log's own poses are what is judged.
         log = sensor
@@ -201,14 +200,12 @@ def _read_reference(path: Path) -> ScanFitReference:
 
 
 def _sensor(
-    arguments: argparse.Namespace, path: Path, poses: Path | None, grid: OccupancyGrid, progress: StageProgress,
-    start: Start = None,
+    arguments: argparse.Namespace, path: Path, poses: Path | None, start: Start, grid: OccupancyGrid,
+    progress: StageProgress,
 ) -> tuple[SensorLog, SensorLog, FittedPoses | None, tuple[str, ...]]:  # fmt: skip
     """Return the sensor as it is, and with poses, its own or fitted to the map; what was fitted, and notes."""
     sensor, notes = options.read_sensor(arguments, path, poses)
-    posed, fitted, found = posed_log(
-        sensor, grid, arguments, progress, path=path, start=start, are_given=poses is not None
-    )
+    posed, fitted, found = posed_log(sensor, grid, arguments, progress, path, poses, start)
     return sensor, posed, fitted, (*notes, *(finding.full_text for finding in found))
 
 
@@ -290,6 +287,7 @@ def _files(
     problem: str,
 ) -> dict[str, str]:
     from beamfield.io.parameters.beam_model_file import beam_model_text
+    from beamfield.report.as_json import json_text
     from beamfield.report.places_figure import places_figure
     from beamfield.report.scan_fit_figures import fit_over_time, worst_scans
     from beamfield.report.scan_fit_page import fit_csv, render_fit_page
@@ -302,7 +300,7 @@ def _files(
     origin = document["provenance"]
     title = f"Do the scans of {origin['inputs']['log']['name']} fit the map?"
     return {
-        "scan_fit.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
+        "scan_fit.json": json_text(document),
         "scan_fit.csv": fit_csv(fits),
         "scan_fit.html": render_fit_page(title, fits, reference, [f for f in drawn if f is not None], origin, problem),
         "beam_model.yaml": beam_model_text(model.parameters, given.log.finder, provenance=origin),

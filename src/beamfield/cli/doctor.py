@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import posed_log
+from beamfield.cli.fitted_poses import posed_as_asked
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command
 from beamfield.cli.progress import StageProgress
@@ -101,11 +101,8 @@ def _posed(
 
     If none can be fitted it is the log as it was, and a note says why.
     """
-    start, are_given = options.start_of(arguments), arguments.poses is not None
     try:
-        log, _, found = posed_log(
-            log, grid, arguments, progress, path=arguments.log, start=start, are_given=are_given
-        )  # fmt: skip
+        log, _, found = posed_as_asked(log, grid, arguments, progress)
     except (FormatError, TooLittleDataError) as error:
         return log, (), (f"{error}; tests at the scans' poses are left out",)
     infos = tuple(finding.full_text for finding in found if finding.severity == "info")

@@ -16,7 +16,6 @@ for example:
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -78,6 +77,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Read, replay, compare, write."""
     from beamfield.figures.gallery import save_figure
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
+    from beamfield.report.as_json import json_text
     from beamfield.report.evaluation import evaluation_as_dict, evaluation_csv, evaluation_line, evaluation_tables
     from beamfield.report.evaluation_figure import evaluation_figure
     from beamfield.stacks.files.filter_file import read_filter_settings
@@ -102,8 +102,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
             **evaluation_as_dict(evaluation),
         }
         with atomic_folder(arguments.out) as folder:
-            (folder / "evaluation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-            (folder / "evaluation.csv").write_text(evaluation_csv(evaluation))
+            (folder / "evaluation.json").write_text(json_text(document), encoding="utf-8")
+            (folder / "evaluation.csv").write_text(evaluation_csv(evaluation), encoding="utf-8")
             save_figure(evaluation_figure(evaluation), folder / "evaluation.svg")
             written = sorted(path.name for path in folder.iterdir())
             log = next(iter(logs.values()))
@@ -138,9 +138,7 @@ def _read_files(arguments: argparse.Namespace) -> tuple[dict[str, StackFile], li
     notes: list[str] = []
     for name, path in _short_names(arguments.params).items():
         file = files[name] = read_stack_file(path, stack=arguments.stack, section=arguments.section)
-        if not file.stack_is_certain:
-            others = " or ".join(other for other in file.possible if other != file.stack)
-            notes.append(f"{name}: read as {file.stack}'s; pass --stack {others} if that is what the robot runs")
+        notes += [f"{name}: {file.uncertainty}"] if file.uncertainty else []
         notes += file.unread
     return files, notes
 
@@ -185,9 +183,7 @@ def _read_logs(
         sensor, noticed = options.read_sensor(arguments, path, reference)
         options.require_odometry(sensor, path)
         start = options.start_of(arguments)
-        logs[name], _, found = posed_log(
-            sensor, grid, arguments, progress, path=path, start=start, are_given=reference is not None
-        )
+        logs[name], _, found = posed_log(sensor, grid, arguments, progress, path, reference, start)
         notes += [f"{name}: {note}" for note in (*noticed, *(finding.full_text for finding in found))]
     return logs, notes
 

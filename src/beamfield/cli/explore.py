@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import posed_log
+from beamfield.cli.fitted_poses import posed_as_asked
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.progress import StageProgress
@@ -114,13 +114,10 @@ def _posed(
     sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress
 ) -> tuple[SensorLog, FittedPoses | None, tuple[str, ...]]:
     """Return the log with poses if it has or gets some, what was fitted, and notes: without, drag the robot."""
-    start = options.start_of(arguments)
-    if arguments.no_fit and start is None and not sensor.has_poses:
+    if arguments.no_fit and arguments.start is None and not sensor.has_poses:
         return sensor, None, (BY_HAND,)
     try:
-        log, fitted, found = posed_log(
-            sensor, grid, arguments, progress, path=arguments.log, start=start, are_given=arguments.poses is not None
-        )
+        log, fitted, found = posed_as_asked(sensor, grid, arguments, progress)
     except (FormatError, TooLittleDataError) as error:
         if sensor.has_poses:
             raise

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from beamfield.cli.options import start_of
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import (
     BeamfieldError,
@@ -33,14 +34,13 @@ REFUTED = ("map-disagrees", "reference-slides", "reference-stands-still")
 
 
 def posed_log(
-    sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress, *, path: Path,
-    start: Start = None, are_given: bool = False,
+    sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress, path: Path,
+    poses: Path | None, start: Start,
 ) -> tuple[SensorLog, FittedPoses | None, tuple[Finding, ...]]:  # fmt: skip
     """Return a log with reference poses, its own or else fitted to the map, what was fitted, and findings on the poses.
 
     Its own are those of a localizer that may have been lost: where they do not go with the map or the odometry, and
-    others can be fitted that are elsewhere, these are taken; not if `are_given`: they are from a file that the user
-    named.
+    others can be fitted that are elsewhere, these are taken; not if they are from a file that the user named, `poses`.
     """
     from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import fit_poses
@@ -52,11 +52,19 @@ def posed_log(
     with about_file(path):
         require_metres(sensor, grid)
     found = tuple(pose_findings(sensor, grid))
-    if not are_given:
+    if poses is None:
         better = instead_of_own(sensor, grid, found, progress)
         if better is not None:
             return better.log, better, better.findings()
     return sensor, None, found
+
+
+def posed_as_asked(
+    sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress
+) -> tuple[SensorLog, FittedPoses | None, tuple[Finding, ...]]:
+    """Return LOG with reference poses; see `posed_log`."""
+    path, poses, start = arguments.log, arguments.poses, start_of(arguments)
+    return posed_log(sensor, grid, arguments, progress, path, poses, start)
 
 
 def has_poses(sensor: SensorLog, start: Start) -> bool:

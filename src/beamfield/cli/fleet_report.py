@@ -53,6 +53,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.fleet.report_files import report_as_dict, write_fleet_report
     from beamfield.fleet.scan import scan_fleet
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
+    from beamfield.report.text_table import finding_line
 
     check_folder_writable(arguments.out)
     require_pyarrow()
@@ -71,7 +72,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         f"wrote {', '.join(name for name in names if '/' not in name)} and maps into {arguments.out}",
         _summary(report),
         report_as_dict(report),
-        [f"{finding.severity} ({finding.name}): {finding.full_text}" for finding in report.findings],
+        [finding_line(finding) for finding in report.findings],
         [arguments.out],
     )
 

@@ -58,6 +58,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.fleet.manifest import read_manifest
     from beamfield.fleet.run_findings import leftover_finding, run_findings
     from beamfield.fleet.scan import scan_fleet
+    from beamfield.report.text_table import finding_line
 
     require_pyarrow()
     rows = read_manifest(arguments.manifest)
@@ -66,7 +67,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         with Engine(arguments.scheduler, arguments.workers) as engine:
             done = scan_fleet(rows, arguments.out, engine, progress=progress)
     findings = (*leftover_finding(done.catalogue.files_of_no_run()), *run_findings(done.catalogue.runs))
-    notes = [f"{finding.severity} ({finding.name}): {finding.full_text}" for finding in findings]
+    notes = [finding_line(finding) for finding in findings]
     place = done.catalogue.folder.shown
     used, runs = sum(record.is_used for record in done.records), done.catalogue.used
     line = (

@@ -44,12 +44,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read the file, draw it, say what is in it."""
-    from beamfield.io.files.atomic import check_writable
-
-    options.check_picture(arguments.out)
-    if arguments.out is not None:
-        check_writable(arguments.out)
-    elif arguments.map is not None:
+    options.check_output(arguments.out, "out", *options.PICTURES)
+    if arguments.out is None and arguments.map is not None:
         raise InvalidInputError("--map: the map is only drawn, so give --out too")
     with options.progress(arguments) as progress:
         progress("reading", 0, 1)
@@ -73,9 +69,7 @@ def _read(arguments: argparse.Namespace) -> Content:
 
     path: Path = arguments.log
     if options.looks_like_a_map(path) or (arguments.map_topic is not None and arguments.map is None):
-        for option in ("map", "poses"):
-            if getattr(arguments, option) is not None:
-                raise InvalidInputError(f"--{option}: goes with a log, and {path} is read as a map")
+        options.refuse(arguments, ("map", "poses"), f"goes with a log, and {path} is read as a map")
         try:
             return read_map(path, topic=arguments.map_topic)
         except FormatError as error:

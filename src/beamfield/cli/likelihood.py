@@ -81,7 +81,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.localization.likelihood_map import likelihood_map
 
-    _check(arguments)
+    options.check_output(arguments.out, "out", *options.PICTURES)
+    options.check_output(arguments.npz, "npz", ".npz")
     with options.progress(arguments) as progress:
         grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
         if not grid.free.any():
@@ -103,17 +104,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
     document = {"scan": arguments.scan, "model": arguments.model, **_found(result, measured, model, reference)}
     line, text = f"wrote {' and '.join(map(str, wrote))}", _summary(document)
     return Outcome(line, text, document, (*notes, *more), wrote, brief=text.splitlines()[1])
-
-
-def _check(arguments: argparse.Namespace) -> None:
-    from beamfield.io.files.atomic import check_writable
-
-    options.check_picture(arguments.out)
-    check_writable(arguments.out)
-    if arguments.npz is not None:
-        if arguments.npz.suffix.lower() != ".npz":
-            raise InvalidInputError(f"--npz: expected a name ending in .npz, got {arguments.npz.name!r}")
-        check_writable(arguments.npz)
 
 
 def _scan(sensor: SensorLog, arguments: argparse.Namespace) -> Scan:

@@ -19,7 +19,6 @@ for example:
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
@@ -98,15 +97,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.cli.film import Film
     from beamfield.cli.localize_summary import ended_at, run_facts, run_summary, sure_from
     from beamfield.finding import worst_first
-    from beamfield.io.files.atomic import check_folder_writable, check_writable
+    from beamfield.io.files.atomic import check_folder_writable
     from beamfield.localization.lost_robot import find_lost_robot, lost_not_judged
     from beamfield.localization.trajectory_trust import time_gaps
 
     check_folder_writable(arguments.out)
-    if arguments.animation is not None:
-        if arguments.animation.suffix.lower() != ".gif":
-            raise InvalidInputError(f"--animation: expected a name ending in .gif, got {arguments.animation.name!r}")
-        check_writable(arguments.animation)
+    options.check_output(arguments.animation, "animation", ".gif")
     check_recordings(arguments)
     with options.progress(arguments) as progress:
         grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
@@ -151,8 +147,7 @@ def _with_poses_that_hold(
 
     if not sensor.has_poses:
         return sensor, ()
-    are_given = arguments.poses is not None
-    log, fitted, found = posed_log(sensor, grid, arguments, progress, path=arguments.log, are_given=are_given)
+    log, fitted, found = posed_log(sensor, grid, arguments, progress, arguments.log, arguments.poses, None)
     told = found if fitted is not None else (one for one in found if one.name in REFUTED)
     return log, tuple(one.full_text for one in told)
 
@@ -311,6 +306,7 @@ def _write(
     from beamfield.io.files.atomic import atomic_folder, write_file
     from beamfield.io.filter_run import PARTICLES, TRAJECTORY, write_particles
     from beamfield.io.trajectory import write_tum
+    from beamfield.report.as_json import json_text
     from beamfield.sensors import Track
 
     known = np.isfinite(found.poses).all(axis=1)
@@ -319,8 +315,7 @@ def _write(
         write_particles(folder / PARTICLES, film.clouds(log.stamps))
         sure_after = document["sure_after_s"] if document["start"] is None else 0.0
         save_figure(localization_figure(found, log, grid, sure_after=sure_after), folder / "localization.png")
-        text = json.dumps(document, indent=1, allow_nan=False)
-        (folder / "localization.json").write_text(f"{text}\n", encoding="utf-8")
+        (folder / "localization.json").write_text(json_text(document), encoding="utf-8")
         names = sorted(path.name for path in folder.iterdir())
         recorded = write_recordings(arguments, lambda: _recording(found, log, grid, film))
         if arguments.animation is not None:

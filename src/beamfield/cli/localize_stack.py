@@ -8,6 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beamfield.cli import options
 from beamfield.errors import FormatError, InvalidInputError
 
 if TYPE_CHECKING:
@@ -47,10 +48,7 @@ def stack_filter(
     from beamfield.stacks.files.filter_file import read_filter_settings
     from beamfield.stacks.files.parameter_file import read_stack_file
 
-    for name in _OF_OUR_FILTER:
-        if getattr(arguments, name) not in (None, False):
-            option = f"--{name.replace('_', '-')}"
-            raise InvalidInputError(f"{option}: for our own filter; {arguments.params} sets up a robot's own")
+    options.refuse(arguments, _OF_OUR_FILTER, f"for our own filter; {arguments.params} sets up a robot's own")
     file = read_stack_file(arguments.params)
     settings = read_filter_settings(file)
     try:

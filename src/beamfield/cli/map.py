@@ -108,15 +108,12 @@ def _posed(
     sensor: SensorLog, arguments: argparse.Namespace, progress: StageProgress
 ) -> tuple[SensorLog, FittedPoses | None, tuple[str, ...]]:
     """Return the log with poses: its own, its odometry, or those fitted to a map, what was fitted, and notes."""
-    from beamfield.cli.fitted_poses import posed_log
+    from beamfield.cli.fitted_poses import posed_as_asked
 
     if arguments.map is None:
         return options.require_poses(sensor, arguments), None, ()
-    grid, start = options.read_walls(arguments), options.start_of(arguments)
-    posed, fitted, found = posed_log(
-        sensor, grid, arguments, progress, path=arguments.log, start=start, are_given=arguments.poses is not None
-    )
-    return posed, fitted, tuple(finding.full_text for finding in found)
+    log, fitted, found = posed_as_asked(sensor, options.read_walls(arguments), arguments, progress)
+    return log, fitted, tuple(finding.full_text for finding in found)
 
 
 def _inverse_model(arguments: argparse.Namespace) -> InverseSensorModel:

@@ -145,10 +145,24 @@ def mount(arguments: argparse.Namespace) -> tuple[float, float, float]:
     return x, y, math.radians(yaw)
 
 
-def check_picture(path: Path | None) -> None:
-    """Refuse a picture in a format that cannot be drawn."""
-    if path is not None and path.suffix.lower() not in PICTURES:
-        raise InvalidInputError(f"--out: expected a name ending in {', '.join(PICTURES)}, got {path.name!r}")
+def check_output(path: Path | None, option: str, *endings: str) -> None:
+    """Refuse now a file that could not be written after the work, or by its name's ending is no such file."""
+    from beamfield.io.files.atomic import check_writable
+
+    if path is None:
+        return
+    if path.suffix.lower() not in endings:
+        *most, last = endings
+        known = f"{', '.join(most)} or {last}" if most else last
+        raise InvalidInputError(f"--{option}: expected a name ending in {known}, got {path.name!r}")
+    check_writable(path)
+
+
+def refuse(arguments: argparse.Namespace, names: Iterable[str], why: str) -> None:
+    """Refuse options, by their names in the arguments, that were given and mean nothing here."""
+    for name in names:
+        if getattr(arguments, name) not in (None, False):
+            raise InvalidInputError(f"--{name.replace('_', '-')}: {why}")
 
 
 def read_grid(arguments: argparse.Namespace) -> OccupancyGrid:

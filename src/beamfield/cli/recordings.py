@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beamfield.errors import InvalidInputError, MissingDependencyError
+from beamfield.cli.options import check_output
+from beamfield.errors import MissingDependencyError
 
 if TYPE_CHECKING:
     from beamfield.geometry import FloatArray
@@ -37,17 +38,11 @@ def wants_recording(arguments: argparse.Namespace) -> bool:
 
 def check_recordings(arguments: argparse.Namespace) -> None:
     """Refuse now what could not be written after the work."""
-    from beamfield.io.files.atomic import check_writable
-
     for option, ending, module, package, extra in KINDS:
         path = getattr(arguments, option)
-        if path is None:
-            continue
-        if path.suffix.lower() != ending:
-            raise InvalidInputError(f"--{option}: expected a name ending in {ending}, got {path.name!r}")
-        if importlib.util.find_spec(module) is None:
+        if path is not None and importlib.util.find_spec(module) is None:
             raise MissingDependencyError(package, extra, f"--{option}")
-        check_writable(path)
+        check_output(path, option, ending)
 
 
 def write_recordings(arguments: argparse.Namespace, record: Callable[[], Recording]) -> list[Path]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class ReportPart:
     table: str
     document: Mapping[str, Any]
     section: PageSection
-    files: Mapping[str, str]
+    files: Mapping[str, str] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     problem: str = ""
 

@@ -86,17 +86,16 @@ def run(arguments: argparse.Namespace) -> Outcome:
 def _picture(arguments: argparse.Namespace) -> Path:
     from beamfield.io.files.atomic import check_writable
 
-    out: Path = arguments.out
-    if out.suffix.lower() not in (".tum", ".txt"):
-        raise InvalidInputError(f"--out: expected a name ending in .tum or .txt, got {out.name!r}")
-    picture = out.with_suffix(".png")
-    check_writable(out)
+    options.check_output(arguments.out, "out", ".tum", ".txt")
+    picture: Path = arguments.out.with_suffix(".png")
     check_writable(picture)
     return picture
 
 
 def _outcome(fit: TrajectoryFit, notes: tuple[str, ...], wrote: list[Path]) -> Outcome:
-    found = "\n".join(f"{finding.severity} ({finding.name}): {finding.full_text}" for finding in fit.findings)
+    from beamfield.report.text_table import finding_line
+
+    found = "\n".join(map(finding_line, fit.findings))
     problem = ""
     if not fit.trusted.all():
         problem = f"{(~fit.trusted).mean():.1%} of the scans are not trusted"

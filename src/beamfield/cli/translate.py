@@ -61,9 +61,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         raise InvalidInputError("--out: writes a new file, --patch changes one; give only one of them")
     if arguments.patch_section is not None and arguments.patch is None:
         raise InvalidInputError("--patch-section: is a section of the file to --patch, but there is none")
-    for name in ("patch", "out"):
-        if arguments.to == CHAPTER and getattr(arguments, name) is not None:
-            raise InvalidInputError(f"--{name}: is for files of a stack, chapter has none")
+    if arguments.to == CHAPTER:
+        options.refuse(arguments, ("patch", "out"), "is for files of a stack, chapter has none")
     if arguments.to not in (*STACKS, CHAPTER):
         raise InvalidInputError(f"--to: expected one of {', '.join((*STACKS, CHAPTER))}, got {arguments.to!r}")
     models = CHAPTER_WEIGHTS if arguments.to == CHAPTER else STACKS[arguments.to].models
@@ -102,19 +101,14 @@ def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[st
         file, arguments.to, model=arguments.to_model, max_range=arguments.max_range, n_beams=arguments.beams,
         resolution=arguments.resolution,
     )  # fmt: skip
-    others = " or ".join(file.possible[1:])
-    said = f"read as {file.stack}'s file; pass --stack {others} if that is what the robot runs"
-    more = [] if file.stack_is_certain else [said]
-    return result, f"{file.stack} {file.model}", more
+    return result, f"{file.stack} {file.model}", [file.uncertainty] if file.uncertainty else []
 
 
 def _translate_beam_model(arguments: argparse.Namespace) -> tuple[Translation, str, list[str]]:
     from beamfield.stacks.translation.translate_beam_model import translate_beam_model
 
-    for name in ("stack", "model", "section", "max_range", "beams"):
-        if getattr(arguments, name) is not None:
-            option = name.replace("_", "-")
-            raise InvalidInputError(f"--{option}: is for files of a stack, {arguments.params} is beamfield's own")
+    names = ("stack", "model", "section", "max_range", "beams")
+    options.refuse(arguments, names, f"is for files of a stack, {arguments.params} is beamfield's own")
     model, more = arguments.to_model, []
     if model is None and arguments.patch is not None:
         model = _patched_file(arguments, None).model

@@ -68,7 +68,7 @@ def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> Repo
         if any(len(one.days) >= 2 * FEWEST_DAYS for one in series)
         else f"Not tested: a change takes {2 * FEWEST_DAYS} days of runs."
     )
-    return ReportFigure("drift", "Drift over the days", tuple(panels), caption, "")
+    return ReportFigure("drift", "Drift over the days", tuple(panels), caption)
 
 
 def _what(of: DailySeries) -> tuple[object, ...]:
@@ -152,7 +152,7 @@ def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], states: Se
         "robot-parameters", "Which robots need their own parameters", tuple(panels),
         "Open: what a robot's own beams say. Filled: what to use, with its 95% interval: the robot's own estimate, "
         "moved towards that of its site as far as its data are few. Vertical line: the fleet. "
-        f"At most {MOST_ROBOTS} robots are drawn.", "",
+        f"At most {MOST_ROBOTS} robots are drawn.",
     )  # fmt: skip
 
 
@@ -171,7 +171,7 @@ def stale_figure(stale: StaleMap) -> ReportFigure:
     name = f"map-{quote(stale.site, safe='')}-{stale.map_hash[:8]}"
     title = f"{stale.site}: where the map is out of date"
     if not len(squares.x):
-        return ReportFigure(name, title, (), "No beams.", "")
+        return ReportFigure(name, title, (), "No beams.")
     corners = np.column_stack([squares.x, squares.y])
     limits = limits_around(np.concatenate([corners, corners + stale.side]))
     figure, axes = new_axes(WIDE, figure_height(limits, rest=1.1, least=3.0), above=2.6)
@@ -191,7 +191,7 @@ def stale_figure(stale: StaleMap) -> ReportFigure:
     panels = [png_panel(figure, f"Map of {stale.site} with {len(stale.lasting)} places to map again.")]
     if listed:
         panels.append(Panel(table(PLACE_COLUMNS, _rows(stale), right=(2, 3)), wide=True))
-    return ReportFigure(name, title, tuple(panels), _caption(stale), "")
+    return ReportFigure(name, title, tuple(panels), _caption(stale))
 
 
 def _rows(stale: StaleMap) -> list[tuple[str, ...]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from beamfield.fleet.stale_map import StaleMap
 from beamfield.geometry import FloatArray
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.report.as_json import plain
+from beamfield.report.as_json import json_text, plain
 
 PAGE, JSON_FILE, SCHEMA = "fleet_report.html", "fleet_report.json", "beamfield-fleet-report/1"
 
@@ -62,16 +61,14 @@ def write_fleet_report(folder: Path, report: FleetReport) -> list[str]:
     pa = require_pyarrow()
     pq = pa.parquet
     (folder / PAGE).write_text(render_fleet_page(report), encoding="utf-8")
-    document = json.dumps(report_as_dict(report), indent=1, allow_nan=False) + "\n"
-    (folder / JSON_FILE).write_text(document, encoding="utf-8")
+    (folder / JSON_FILE).write_text(json_text(report_as_dict(report)), encoding="utf-8")
     for name, rows in report_tables(report).items():
         pq.write_table(pa.Table.from_pylist(rows, _schema(pa, name)), folder / f"{name}.parquet", compression="zstd")
     (folder / "maps").mkdir()
     for stale in report.stale_maps:
         name = f"{quote(stale.site, safe='')}-{stale.map_hash[:8]}"
         write_map(disagreement_map(stale), folder / f"maps/{name}.yaml", mode="raw")
-        text = json.dumps(places_as_geojson(stale), indent=1, allow_nan=False) + "\n"
-        (folder / f"maps/{name}.geojson").write_text(text, encoding="utf-8")
+        (folder / f"maps/{name}.geojson").write_text(json_text(places_as_geojson(stale)), encoding="utf-8")
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -94,6 +95,11 @@ def scan_fits_as_dict(fits: ScanFits, reference: ScanFitReference, *, own: bool)
             "reliability": plain(reference.reliability),
         },
     }
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """Return plain values as the text of a file in strict JSON."""
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"
 
 
 def plain(value: Any) -> Any:

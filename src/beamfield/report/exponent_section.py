@@ -12,7 +12,7 @@ from beamfield.report.page import table
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned
 
-TITLE = "Independent beams"
+ANCHOR, TITLE = "independent-beams", "Independent beams"
 HEADER = (
     "how beams count", "exponent", "95% interval", "independent beams", "covered", "nats ± s.e.", "with exponent 1"
 )  # fmt: skip
@@ -51,12 +51,7 @@ def exponent_section(learned: ExponentLearning) -> PageSection:
         "hold the truth in 90% of the cases. Covered: the share on held-out blocks of time. Nats: mean logarithm of "
         "the posterior's density at the truth over the prior's; 0 says nothing, far below 0 is certain and wrong.</p>"
     )
-    return PageSection("independent-beams", TITLE, markup)
-
-
-def exponent_missing(reason: str) -> PageSection:
-    """Return the section of a report whose log is too short."""
-    return PageSection("independent-beams", TITLE, f"<p>Not learned: {escaped(reason)}.</p>")
+    return PageSection(ANCHOR, TITLE, markup)
 
 
 def exponent_as_dict(learned: ExponentLearning) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from beamfield.report.page import table
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned, plus_minus
 
-TITLE = "Likelihood field"
+ANCHOR, TITLE = "field", "Likelihood field"
 MEANINGS = {
     "z_hit": ("-", "share of readings that end near an obstacle on their beam's axis"),
     "z_rand": ("-", "share of readings that nothing explains, spread evenly over all ranges"),
@@ -48,12 +48,7 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
         f"whose 90% region holds the truth.</p>"
         f"<details><summary>The file likelihood_field.yaml</summary><pre>{escaped(file_text)}</pre></details>"
     )
-    return PageSection("field", TITLE, markup)
-
-
-def field_missing(reason: str) -> PageSection:
-    """Return the section of a report whose log is too short to learn a field."""
-    return PageSection("field", TITLE, f"<p>Not learned: {escaped(reason)}.</p>")
+    return PageSection(ANCHOR, TITLE, markup)
 
 
 def _parameter_rows(learned: FieldLearning) -> list[tuple[str, ...]]:

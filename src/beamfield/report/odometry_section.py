@@ -14,7 +14,7 @@ from beamfield.report.page import finding_list, table
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned, plus_minus, warning_lines
 
-TITLE = "Odometry"
+ANCHOR, TITLE = "odometry", "Odometry"
 NOISE_HEADER = ("odometry noise", "levels with 95% intervals", "nats per held-out window", "gain over the default")
 SYSTEMATIC_HEADER = ("systematic error", "value", "95% interval", "unit", "meaning")
 MEANINGS = {
@@ -56,12 +56,7 @@ def odometry_section(result: OdometryCalibration, programs: Programs) -> PageSec
         f"{table(('program', 'motion model', 'values'), _program_rows(programs))}"
         f"{finding_list(result.findings)}"
     )
-    return PageSection("odometry", TITLE, markup)
-
-
-def odometry_missing(reason: str) -> PageSection:
-    """Return the section of a report whose log is too short, or has no odometry."""
-    return PageSection("odometry", TITLE, f"<p>Not calibrated: {escaped(reason)}.</p>")
+    return PageSection(ANCHOR, TITLE, markup)
 
 
 def odometry_as_dict(result: OdometryCalibration, programs: Programs) -> dict[str, Any]:

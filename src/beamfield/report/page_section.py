@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from beamfield.report.escape import escaped
+
 Level = Literal["good", "care", "bad"]
 
 
@@ -29,3 +31,8 @@ class PageSection:
     markup: str
     verdict: str = ""
     level: Level = "good"
+
+    @classmethod
+    def without(cls, anchor: str, title: str, reason: str) -> PageSection:
+        """Return the section of a report whose log does not suffice for it."""
+        return cls(anchor, title, f"<p>{escaped(reason)}</p>")

@@ -58,14 +58,14 @@ class ReportFigure:
     caption
         What to look for; plain text.
     source
-        The figure, section or equation of the chapter that it belongs to; plain text.
+        The figure, section or equation of the chapter that it belongs to; plain text, "" for none.
     """
 
     name: str
     title: str
     panels: tuple[Panel, ...]
     caption: str
-    source: str
+    source: str = ""
 
 
 def one_picture(

@@ -12,7 +12,6 @@ from matplotlib.collections import PolyCollection
 from beamfield.calibration.pose_windows import REFERENCE_LEVER
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.report.as_json import plain
 from beamfield.report.colours import CAUSE_COLOURS, MODEL, THROUGH
 from beamfield.report.drawing import WIDE, legend_above, new_axes
 from beamfield.report.map_figures import draw_map, figure_height, frame, limits_around, number_place, squares_at
@@ -60,12 +59,6 @@ def places_figure(found: ChangedPlaces, grid: OccupancyGrid, path: FloatArray) -
     if found.findings:
         panels.append(Panel(finding_list(found.findings), wide=True))
     return ReportFigure(NAME, TITLE, tuple(panels), _caption(found), SOURCE)
-
-
-def places_as_dict(found: ChangedPlaces) -> dict[str, Any]:
-    """Return all places as values that strict JSON can hold; see `ChangedPlaces` for their names."""
-    document: dict[str, Any] = plain(found)
-    return document
 
 
 def _rows(found: ChangedPlaces) -> list[tuple[str, ...]]:

@@ -105,7 +105,7 @@ def exponent_intervals(learned: ExponentLearning) -> dict[str, tuple[float, floa
 
 def field_summary(result: FieldLearning) -> str:
     """Return the parameters with intervals, held-out scores and warnings."""
-    return field_tables(result)
+    return "\n\n".join([field_tables(result), *warning_lines(result.findings)])
 
 
 def save_field(result: FieldLearning, path: str | Path) -> None:

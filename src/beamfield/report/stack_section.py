@@ -67,7 +67,6 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
         "for 95% regions that miss the reference; the circle is the setting that windows propose to the replay. Right: "
         "the mean distance of "
         "particles from the reference after one scan, over held-out scans; left of the dashed line the scan helped.",
-        "",
     )
     markup = (
         f"{finding_list(found) if found else ''}{values}\n<p>The file:</p><pre>{escaped(file_text)}</pre>\n{replayed}\n"

@@ -57,13 +57,18 @@ def score_rows(calibration: Calibration) -> list[tuple[str, ...]]:
 def warning_lines(
     findings: Iterable[Finding], *, width: int | None = None, wording: Callable[[str], str] = str
 ) -> list[str]:
-    """Return one paragraph for each warning among the findings.
+    """Return one paragraph for each warning or error among the findings.
 
     Lines are `width` characters long, for a terminal; `wording` turns the names of arguments in a text into those of
     the reader.
     """
-    texts = [f"warning ({f.name}): {wording(f.full_text)}" for f in findings if f.severity == "warning"]
+    texts = [finding_line(finding, wording) for finding in findings if finding.severity != "info"]
     return texts if width is None else [textwrap.fill(text, width, subsequent_indent="  ") for text in texts]
+
+
+def finding_line(finding: Finding, wording: Callable[[str], str] = str) -> str:
+    """Return a finding with its severity and name; `wording` as for `warning_lines`."""
+    return f"{finding.severity} ({finding.name}): {wording(finding.full_text)}"
 
 
 def form_line(calibration: Calibration) -> str:

@@ -140,11 +140,6 @@ def log_of(name: str, step: float, low: float, high: float, grid: tuple[float, .
     )
 
 
-def reach(name: str, sigma: str) -> Coordinate:
-    """Return a maximum distance by the logarithm of its ratio to sigma."""
-    return log_of(name, -0.7, SHORTEST_REACH, 20.0, REACHES, per=sigma)
-
-
 def share(names: tuple[str, ...], name: str) -> Coordinate:
     """Return one of several weights by the log odds of its share; the others keep their ratios, all sum to 1."""
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.stacks.coordinates import SIGMAS, FitInputs, FitSpace, log_of, reach, share
+from beamfield.stacks.coordinates import REACHES, SHORTEST_REACH, SIGMAS, FitInputs, FitSpace, log_of, share
 from beamfield.stacks.stack import LEAST_RATE, SQRT_2PI, WEIGHTS, Model, with_sum_one
 
 
@@ -64,7 +64,8 @@ def amcl_fit_space(model: Model, inputs: FitInputs) -> FitSpace:
     width = log_of(sigma, 0.4, inputs.narrowest, 1.0, SIGMAS)
     rand = model.own_name("z_rand")
     if model.weight.of_field:
-        coordinates = share((model.own_name("z_hit"), rand), rand), width, reach("laser_likelihood_max_dist", sigma)
+        reach = log_of("laser_likelihood_max_dist", -0.7, SHORTEST_REACH, 20.0, REACHES, per=sigma)
+        coordinates = share((model.own_name("z_hit"), rand), rand), width, reach
         return FitSpace(coordinates, settings, usable, usable)
     first, learned = model.with_learned(usable, inputs)
     weights = tuple(map(model.own_name, WEIGHTS))

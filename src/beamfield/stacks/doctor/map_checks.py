@@ -132,10 +132,8 @@ def lost_cells(subject: Subject) -> Iterator[Finding]:
     if not subject.stack.wants_extremes or subject.map_file.mode == "trinary":
         return
     grid = subject.grid
-    known = ~np.isnan(grid.probability)
-    mode = "raw" if subject.map_file.mode == "raw" else "scale"
-    seen = read_as_stack(grid, "raw") if mode == "raw" else grid
-    between = float((known & seen.unknown).mean())
+    seen = read_as_stack(grid, "raw") if subject.map_file.mode == "raw" else grid
+    between = float((~np.isnan(grid.probability) & seen.unknown).mean())
     if between > CHANGED_SHARE:
         yield subject.finding(
             "map-mode-loses-cells", "warning",

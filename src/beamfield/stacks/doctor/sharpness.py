@@ -12,6 +12,7 @@ from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor.subject import Subject
+from beamfield.stacks.filters.particles import n_effective, normalised
 from beamfield.stacks.formula import Formula
 from beamfield.stacks.registry import build_model
 from beamfield.stacks.stack import FIELD_CUBES, FIELD_PRODUCT
@@ -76,12 +77,8 @@ def _product(subject: Subject) -> str:
 
 
 def effective_sample_size(log_weights: FloatArray) -> float:
-    """Return (sum w)^2 / sum w^2 of weights given by their logarithms; 0 if all are 0."""
-    top = float(log_weights.max(initial=-np.inf))
-    if not np.isfinite(top):
-        return 0.0
-    weights = np.exp(log_weights - top)
-    return float(weights.sum() ** 2 / np.square(weights).sum())
+    """Return the effective number of particles with weights given by their logarithms; 0 if all are 0."""
+    return n_effective(normalised(log_weights)) if log_weights.max() > -np.inf else 0.0
 
 
 def _effective(subject: Subject) -> tuple[float, str]:

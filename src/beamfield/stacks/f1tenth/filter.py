@@ -16,7 +16,7 @@ from beamfield.stacks.emulation.stack_map import read_as_stack
 from beamfield.stacks.filters.emulated_filter import EmulatedFilter
 from beamfield.stacks.filters.loop import scans_with_odometry
 from beamfield.stacks.filters.particles import (
-    check_number_of_particles,
+    check_particle_counts,
     draw_by_weight,
     normal_poses,
     normalised,
@@ -44,7 +44,7 @@ class F1tenthFilterParameters:
     max_particles: int = 4000
 
     def __post_init__(self) -> None:
-        check_number_of_particles(self, "max_particles")
+        check_particle_counts(self, "max_particles")
 
 
 def f1tenth_filter(model: Any, motion: MotionModel, parameters: F1tenthFilterParameters) -> F1tenthFilter:

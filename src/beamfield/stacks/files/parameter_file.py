@@ -55,6 +55,13 @@ class StackFile:
         return self.stack_is_said or len(self.possible) < 2
 
     @property
+    def uncertainty(self) -> str:
+        """What to know of a file that can be another stack's, for people; "" if it is certain whose it is."""
+        others = " or ".join(name for name in self.possible if name != self.stack)
+        said = f"read as {self.stack}'s; pass --stack {others} if that is what the robot runs"
+        return "" if self.stack_is_certain else said
+
+    @property
     def program(self) -> Stack:
         """Whose file it is."""
         return stack_named(self.stack)

@@ -15,7 +15,7 @@ from beamfield.localization.replay import PoseBelief
 from beamfield.models.differential_motion import SHORTEST_TRANSLATION
 from beamfield.models.motion_steps import rotations_and_translation
 from beamfield.sensors import Scan, SensorLog
-from beamfield.stacks.emulation.parameter_checks import check_numbers
+from beamfield.stacks.emulation.parameter_checks import check_counts, check_numbers
 from beamfield.stacks.filters.emulated_filter import AmclParticles, EmulatedFilter
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
 from beamfield.stacks.filters.loop import scans_after_motion
@@ -75,7 +75,8 @@ class AmclFilterParameters:
 
 def check_filter(parameters: Any, names: Mapping[str, str]) -> None:
     """Refuse values that AMCL's filter cannot compute with; `names` says what it calls nav2's, where that differs."""
-    check_particle_counts(parameters)
+    check_counts(parameters, resample_interval=1)
+    check_particle_counts(parameters, "min_particles", "max_particles")
     pf_err, pf_z = (names.get(name, name) for name in ("pf_err", "pf_z"))
     rest = pf_z, "update_min_d", "update_min_a", "recovery_alpha_slow", "recovery_alpha_fast"
     check_numbers(parameters, positive=(pf_err,), at_least_zero=rest)

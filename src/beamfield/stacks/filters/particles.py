@@ -22,18 +22,12 @@ LARGEST = 700.0
 EVERY = np.empty(0, np.int64)
 
 
-def check_particle_counts(parameters: Any) -> None:
-    """Refuse numbers of particles and intervals that are no counts, or more particles than memory has room for."""
-    check_counts(parameters, resample_interval=1)
-    for name in ("min_particles", "max_particles"):
-        check_number_of_particles(parameters, name)
-
-
-def check_number_of_particles(parameters: Any, name: str) -> None:
-    """Refuse a number of particles that is no count, or more than memory has room for."""
-    check_counts(parameters, **{name: 1})
-    value = getattr(parameters, name)
-    require(value <= MOST_PARTICLES, name, f"at most {MOST_PARTICLES}", value)
+def check_particle_counts(parameters: Any, *names: str) -> None:
+    """Refuse numbers of particles that are no counts, or more than memory has room for."""
+    check_counts(parameters, **dict.fromkeys(names, 1))
+    for name in names:
+        value = getattr(parameters, name)
+        require(value <= MOST_PARTICLES, name, f"at most {MOST_PARTICLES}", value)
 
 
 def normal_poses(belief: PoseBelief, n: int, rng: np.random.Generator) -> FloatArray:

@@ -21,8 +21,7 @@ from beamfield.stacks.coordinates import FitSpace
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.fit.fit_space import fit_space
 from beamfield.stacks.fit.particle_update import ParticleUpdate, update_particles
-from beamfield.stacks.fit.posterior_score import score_windows
-from beamfield.stacks.fit.window_evidence import WindowEvidence, gather_evidence
+from beamfield.stacks.fit.window_evidence import WindowEvidence, gather_evidence, score_windows
 from beamfield.stacks.registry import build_model
 
 Progress = Callable[[str, int, int], None]

@@ -12,6 +12,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose
 from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
+from beamfield.stacks.filters.particles import n_effective, normalised
 
 N_PARTICLES = 2000
 # Mean distance of a particle from the truth before the update, metres, and standard deviation of its heading.
@@ -56,9 +57,6 @@ def update_particles(
     after, effective = np.empty(len(scans)), np.empty(len(scans))
     for i, scan in enumerate(scans):
         log_weights = model.log_likelihood(log.scan(scan), compose(log.poses[scan], offsets))
-        top = float(log_weights.max())
-        # Without any weight a filter makes all equal.
-        weights = np.exp(log_weights - top) if top > -np.inf else np.ones(n_particles)
-        after[i] = float(weights @ distance / weights.sum())
-        effective[i] = float(weights.sum() ** 2 / np.square(weights).sum())
+        weights = normalised(log_weights)
+        after[i], effective[i] = float(weights @ distance), n_effective(weights)
     return ParticleUpdate(np.full(len(scans), distance.mean()), after, effective, n_particles)

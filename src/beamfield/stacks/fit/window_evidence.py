@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.calibration.pose_windows import Window
+from beamfield.calibration.context.posterior_judge import PosteriorScores, judge_weights
+from beamfield.calibration.pose_windows import Rivals, Window
 from beamfield.geometry import FloatArray
 from beamfield.kernels import posterior as kernels
 from beamfield.kernels.threads import run_in_blocks
@@ -119,6 +120,25 @@ def gather_evidence(model: StackModel[Any, Any], log: SensorLog, windows: Sequen
     if coder is None:
         return WindowEvidence(folds, n_near, tuple(gathered), None, n_scans)
     return WindowEvidence(folds, n_near, (), coder.result(), n_scans)
+
+
+def score_windows(
+    model: StackModel[Any, Any], evidence: WindowEvidence, candidates: Sequence[Any], rivals: Rivals
+) -> list[PosteriorScores]:
+    """Return how well parameters, one set after the other, do on windows.
+
+    A filter knows where the robot is up to a prior, which is off the truth as far as its spread says, or that it may be
+    anywhere. The posterior is that prior times the stack's weights. It is judged where the truth may be: around the
+    reference.
+
+    The evidence is from `gather_evidence`; the rivals are those that the windows were cut with.
+    """
+    scores: list[PosteriorScores] = []
+    for first in range(0, len(candidates), LANES):
+        chunk = candidates[first : first + LANES]
+        log_weights = evidence.log_weights(model, chunk)
+        scores += judge_weights(log_weights, evidence.n_near, rivals)
+    return scores
 
 
 class _Coder:

@@ -18,7 +18,7 @@ from beamfield.stacks.emulation.parameter_checks import check_choice, check_coun
 from beamfield.stacks.filters.emulated_filter import EmulatedFilter
 from beamfield.stacks.filters.histogram import BinSizes
 from beamfield.stacks.filters.loop import scans_at_ticks, scans_with_odometry
-from beamfield.stacks.filters.particles import check_number_of_particles, n_effective, normalised, particle_moments
+from beamfield.stacks.filters.particles import check_particle_counts, n_effective, normalised, particle_moments
 from beamfield.stacks.mrpt.motion import THRUN, MrptMotion
 from beamfield.stacks.mrpt.resampling import METHODS, fast_draws, resampled
 from beamfield.stacks.mrpt.sample_size import enough_particles
@@ -101,8 +101,7 @@ class MrptFilterParameters:
             at_least_zero=("BETA", "rate_hz"),
         )  # fmt: skip
         check_counts(self, particles_count=0, initial_particles_per_m2=1)
-        check_number_of_particles(self, "KLD_minSampleSize")
-        check_number_of_particles(self, "KLD_maxSampleSize")
+        check_particle_counts(self, "KLD_minSampleSize", "KLD_maxSampleSize")
         if self.KLD_delta >= 1.0:
             raise InvalidInputError(f"KLD_delta: expected a probability below 1, got {self.KLD_delta}")
         if self.adaptiveSampleSize and self.resamplingMethod != METHODS[0]:

@@ -8,6 +8,7 @@ from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.emulation.beam_selection import Indices
+from beamfield.stacks.emulation.field_table import end_points
 from beamfield.stacks.emulation.stack_map import MapMode, read_as_stack
 
 # Scans of fewer points are not thinned out.
@@ -30,9 +31,7 @@ def scan_points(scan: Scan, least_spacing: float) -> Indices:
     beams = np.flatnonzero(valid & np.concatenate([[True], valid[:-1]]))
     if least_spacing <= 0.0:
         return beams
-    x, y, theta = scan.finder.mounts[beams].T
-    ends = np.column_stack([x + scan.ranges[beams] * np.cos(theta), y + scan.ranges[beams] * np.sin(theta)])
-    return beams[_spaced(ends, least_spacing)]
+    return beams[_spaced(end_points(scan.finder.mounts[beams], scan.ranges[beams]), least_spacing)]
 
 
 def mrpt_grid(grid: OccupancyGrid, map_mode: MapMode) -> OccupancyGrid:
@@ -61,10 +60,10 @@ def thinned_out(beams: Indices, decimation: int) -> Indices:
 
 
 def _spaced(ends: FloatArray, least: float) -> list[int]:
-    """Return the indices of points that are at least so far from the one kept before."""
+    """Return the indices of points (2, k) that are at least so far from the one kept before."""
     kept: list[int] = []
     x, y = np.inf, np.inf
-    for i, (u, v) in enumerate(ends.tolist()):
+    for i, (u, v) in enumerate(ends.T.tolist()):
         if (u - x) ** 2 + (v - y) ** 2 >= least * least:
             kept.append(i)
             x, y = u, v

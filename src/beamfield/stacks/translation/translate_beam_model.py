@@ -18,7 +18,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.stacks.formula import Formula
 from beamfield.stacks.registry import stack_named
-from beamfield.stacks.stack import SQRT_2PI, Model, Stack, with_sum_one
+from beamfield.stacks.stack import SQRT_2PI, TYPICAL_SHARE, Model, Stack, with_sum_one
 from beamfield.stacks.syntax.parameter_text import Value
 from beamfield.stacks.translation.neutral_field import NeutralField, chapter_values, field_values
 from beamfield.stacks.translation.translation import (
@@ -32,7 +32,7 @@ from beamfield.stacks.translation.translation import (
 from beamfield.stacks.translation.weight_comparison import ChapterField, Comparison, compare, sample_ranges
 
 # Indoors ranges have a root mean square of 2 to 6 m: 3.8 m in the median of nine logs.
-TYPICAL_RANGE, TYPICAL_SHARE = 4.0, 0.4
+TYPICAL_RANGE = 4.0
 # A field's distances are cut off at nav2's default, or beyond the hits.
 MAX_DISTANCE, MAX_SIGMAS = 2.0, 5.0
 N_SAMPLES = 20_000

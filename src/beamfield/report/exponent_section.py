@@ -51,12 +51,12 @@ def exponent_section(learned: ExponentLearning) -> PageSection:
         "hold the truth in 90% of the cases. Covered: the share on held-out blocks of time. Nats: mean logarithm of "
         "the posterior's density at the truth over the prior's; 0 says nothing, far below 0 is certain and wrong.</p>"
     )
-    return PageSection("independent-beams", TITLE, markup)
+    return PageSection("independent-beams", TITLE, markup, folded=True)
 
 
 def exponent_missing(reason: str) -> PageSection:
     """Return the section of a report whose log is too short."""
-    return PageSection("independent-beams", TITLE, f"<p>Not learned: {escaped(reason)}.</p>")
+    return PageSection("independent-beams", TITLE, f"<p>Not learned: {escaped(reason)}.</p>", folded=True)
 
 
 def exponent_as_dict(learned: ExponentLearning) -> dict[str, Any]:

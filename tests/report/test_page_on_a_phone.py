@@ -8,6 +8,9 @@ import shutil
 import pytest
 from matplotlib.figure import Figure
 
+from beamfield.finding import Finding
+from beamfield.fleet.report_page import _lights
+from beamfield.fleet.robot_state import RobotState
 from beamfield.report.drawing import NARROW, WIDE
 from beamfield.report.page import document, figure, fold
 from beamfield.report.panel import ReportFigure, png_panel, svg_panel
@@ -61,3 +64,13 @@ def test_a_link_unfolds_what_it_leads_to_and_what_is_folded_is_not_printed(brows
     assert data.is_visible()
     page.emulate_media(media="print")
     assert [folds.nth(k).is_visible() for k in range(2)] == [True, False]
+
+
+def test_what_to_do_about_a_robot_is_seen_on_a_phone(browser):
+    finding = Finding("dirty-lens", "warning", "Readings have no return. " * 9, do="Wipe it.")
+    state = RobotState("robot-7", "hall", "red", (finding,), urgency=1.0, runs=6, left_out=0)
+    page = browser.new_page(viewport={"width": 390, "height": 800})
+    page.set_content(document("Fleet", _lights([state]), (), ""))
+    box = page.get_by_text("Wipe it.").bounding_box()
+    assert box["x"] >= 0.0
+    assert box["x"] + box["width"] <= 390.0

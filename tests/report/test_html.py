@@ -16,7 +16,7 @@ from beamfield.finding import Finding
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report import panel
 from beamfield.report.html import render_report
-from beamfield.report.map_figures import fit_map
+from beamfield.report.map_figures import cause_map, fit_map
 from beamfield.report.mixture_figure import mixture
 from beamfield.report.page import document, finding_list
 from beamfield.report.page_section import PageSection
@@ -130,6 +130,17 @@ def test_no_text_leaves_its_picture(drawn):
         low, high = figure.get_tightbbox().get_points()
         assert (low > -0.02).all(), figure.axes[0].get_title()
         assert (high < figure.get_size_inches() + 0.02).all(), figure.axes[0].get_xlabel()
+
+
+def test_no_text_leaves_the_picture_of_a_tall_map(case, monkeypatch):
+    figures = []
+    canvas = panel.FigureCanvasAgg
+    monkeypatch.setattr(panel, "FigureCanvasAgg", lambda figure: figures.append(figure) or canvas(figure))
+    monkeypatch.setattr("beamfield.report.map_figures._limits", lambda *_: (3.0, 9.0, -9.0, 15.0))
+    cause_map(case.calibration, case.grid, case.log)
+    low, high = figures[0].get_tightbbox().get_points()
+    assert (low > -0.02).all()
+    assert (high < figures[0].get_size_inches() + 0.02).all()
 
 
 def test_nothing_is_fetched_and_nothing_runs(text, page):

@@ -145,7 +145,8 @@ def _light(state: RobotState) -> str:
     return (
         f'<tr><td class="{LEVELS[state.light]}" style="padding-left: .5rem"><b class="label">{state.light}</b></td>'
         f'<th scope="row" {ONE_LINE}><b>{escaped(state.robot)}</b></th><td {ONE_LINE}>{escaped(state.site)}</td>'
-        f'<td {WIDE}>{found}</td><td {WIDE}>{do}</td><td class="n">{used}</td></tr>'
+        f'<td {WIDE}>{found}</td><td {WIDE} data-label="What to do">{do}</td>'
+        f'<td class="n" data-label="Runs used">{used}</td></tr>'
     )
 
 

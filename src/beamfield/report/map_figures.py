@@ -40,7 +40,7 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     path = log.poses[calibration.selection.used, :2]
     limits = _limits(points[causes != 3], path)
     tall = _aspect(limits) > TALL
-    width, lines = (NARROW, 2) if tall else (WIDE, 1)
+    width, lines, columns = (NARROW, 3, 2) if tall else (WIDE, 1, 6)
     figure, axes = new_axes(width, figure_height(limits, width=width), above=lines)
     draw_map(axes, grid, limits)
     all_causes = calibration.causes[~table.hits_nothing]
@@ -56,7 +56,7 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
         axes.scatter([], [], s=40, marker=markers[cause], color=CAUSE_COLOURS[cause], label=label)
     _draw_path(axes, path)
     frame(axes, limits, with_legend=False)
-    legend_above(axes, ncols=3 if tall else 6)
+    legend_above(axes, ncols=columns)
     said = ", ".join(f"{name} {share:.1%}" for name, share in zip(CAUSES, shares, strict=True))
     return one_picture(
         "cause-map",

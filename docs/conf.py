@@ -42,11 +42,15 @@ autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True}
 autosummary_generate = True
+# Most blocks without a language are commands and what they print.
+highlight_language = "none"
 # Names in backticks that the reference has become links; others stay as they are.
 default_role = "py:obj"
 
 html_theme = "pydata_sphinx_theme"
 html_title = "beamfield"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sourcelink = False
 html_context = {"default_mode": "auto"}
@@ -56,7 +60,7 @@ html_theme_options = {
     "navbar_align": "left",
     "navbar_persistent": ["search-button"],
     "navbar_end": ["versions", "theme-switcher"],
-    "header_links_before_dropdown": 6,
+    "header_links_before_dropdown": 8,
     "show_toc_level": 2,
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["copyright"],

@@ -213,7 +213,7 @@ def test_two_models_are_compared_at_the_same_moment_and_along_the_log(opened):
     verdict = page.locator(".verdict")
     sync_api.expect(verdict).to_contain_text("This scan: pose score")
     sync_api.expect(verdict).to_contain_text("Over 11 scans of the log: A better in")
-    assert page.get_by_label("Curve of the timeline").input_value() == "A \N{MINUS SIGN} B: pose score"
+    assert page.get_by_label("Curve of the timeline").input_value() == "A \N{MINUS SIGN} B: pose score [nats]"
     sync_api.expect(page.locator(".worst")).to_contain_text("better:")
     page.wait_for_url("**other=1*")
     # Both maps show one robot: dragged on one, it moves on the other.

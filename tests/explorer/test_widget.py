@@ -49,7 +49,7 @@ def test_a_log_is_learned_from_and_its_scans_judged(drive, office, tmp_path):
     )
     assert why is None
     assert [one.label for one in session.sets[:2]] == ["beam model, fitted", "likelihood field, fitted"]
-    assert {"log likelihood of a reading", "p-value", "probability of being lost"} < set(session.numbers)
+    assert {"log likelihood of a reading [nats]", "p-value", "probability of being lost"} < set(session.numbers)
     lost = session.numbers["filter: probability of being lost"]
     assert np.nanmedian(lost[:240]) < 0.1
     assert np.nanmedian(lost[260:]) > 0.9

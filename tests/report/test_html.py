@@ -16,7 +16,7 @@ from beamfield.finding import Finding
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report import panel
 from beamfield.report.html import render_report
-from beamfield.report.map_figures import fit_map
+from beamfield.report.map_figures import cause_map, fit_map
 from beamfield.report.mixture_figure import mixture
 from beamfield.report.page import document, finding_list
 from beamfield.report.page_section import PageSection
@@ -132,6 +132,17 @@ def test_no_text_leaves_its_picture(drawn):
         assert (high < figure.get_size_inches() + 0.02).all(), figure.axes[0].get_xlabel()
 
 
+def test_no_text_leaves_the_picture_of_a_tall_map(case, monkeypatch):
+    figures = []
+    canvas = panel.FigureCanvasAgg
+    monkeypatch.setattr(panel, "FigureCanvasAgg", lambda figure: figures.append(figure) or canvas(figure))
+    monkeypatch.setattr("beamfield.report.map_figures._limits", lambda *_: (3.0, 9.0, -9.0, 15.0))
+    cause_map(case.calibration, case.grid, case.log)
+    low, high = figures[0].get_tightbbox().get_points()
+    assert (low > -0.02).all()
+    assert (high < figures[0].get_size_inches() + 0.02).all()
+
+
 def test_nothing_is_fetched_and_nothing_runs(text, page):
     assert "http" not in text
     assert "<script" not in text
@@ -184,7 +195,14 @@ def test_verdict_admits_a_fit_that_is_not_better(case):
 def test_warnings_come_before_the_parameters_and_the_rest_is_folded(text):
     warning, folded = text.index("The map is poor."), text.index("The poses are good.")
     assert text.index('id="warnings"') < warning < text.index('id="parameters"')
-    assert text.rindex("<details>", 0, folded) > warning
+    assert text.rindex("<details ", 0, folded) > warning
+
+
+def test_one_picture_opens_the_page_and_evidence_is_folded(text):
+    places = ["verdict care", '<figure id="cause-map">', 'id="warnings"', 'id="parameters"', '<figure id="scan-fit">']
+    assert [text.index(place) for place in places] == sorted(text.index(place) for place in places)
+    folded = set(re.findall(r'<details class="fold"><summary>.*</summary>\n<(?:figure|div) id="(.*?)"', text))
+    assert folded == FIGURES - {"cause-map", "scan-fit"} | {"data", "origin"}
 
 
 def test_a_finding_says_what_was_seen_why_it_matters_and_what_to_do(page):
@@ -207,6 +225,13 @@ def test_the_part_that_was_asked_for_opens_the_page_and_warns_where_nothing_can_
     assert [text.index(place) for place in places] == sorted(text.index(place) for place in places)
     first = re.search(r'<p class="verdict bad">.*', with_findings(Finding("map-scale", "warning", "")))
     assert "Do not use these values yet: the scale of the map is wrong.</p>" in first[0]
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_folded_section_stands_at_the_end_and_keeps_its_anchor(case):
+    part = PageSection("fitted-poses", "Poses fitted", "<p>Evidence.</p>", folded=True)
+    text = render_report(case.calibration, case.grid, case.log, sections=[part])
+    assert text.index('id="figures"') < text.index('<summary><h3>Poses fitted</h3></summary>\n<div id="fitted-poses">')
 
 
 def test_the_page_can_be_read_without_seeing_it(text, page):

@@ -93,7 +93,11 @@ def _timeline(
     for i in np.flatnonzero(np.isfinite(log.poses).all(axis=1)):
         score = reading_score(learned, learned.values, log[int(i)], log.poses[i], caster)
         each[i] = np.nan if score is None else score
-    numbers = {"log likelihood of a reading": each, "p-value": fits.p_value, "probability of being lost": fits.lost}
+    numbers = {
+        "log likelihood of a reading [nats]": each,
+        "p-value": fits.p_value,
+        "probability of being lost": fits.lost,
+    }
     if run is not None:
         numbers["filter: probability of being lost"] = judged(log.with_poses(run.poses)).lost
     return numbers

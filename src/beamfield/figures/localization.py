@@ -23,6 +23,7 @@ from beamfield.sensors import SensorLog
 ESTIMATE, REFERENCE, BOUND, GUESS = "#0072B2", "#D55E00", "#8A949E", "#CC79A7"
 # Of a chi-square variable with 2 degrees of freedom, and of a standard normal one.
 BOUND_2D, BOUND_1D = 5.991, 1.960
+WITHIN = "95% of the particles within"
 MARGIN = 2.0
 # Of an animation.
 FRAMES_PER_SECOND, ANIMATED_BEAMS, COLOURS = 10, 180, 64
@@ -111,20 +112,23 @@ def _zoom(ax: Axes, poses: FloatArray, grid: OccupancyGrid) -> None:
 
 
 def _draw_errors(found: Replay, log: SensorLog, top: Axes, bottom: Axes) -> None:
-    """Draw the errors of position and heading, and what the particles say of them."""
+    """Draw the errors of position and heading, if the log has poses to tell, and what the particles say of them."""
     time = log.stamps - log.stamps[0]
     at = time[found.updates]
     widest = np.linalg.eigvalsh(found.covariances[:, :2, :2])[:, -1]
-    top.plot(at, np.sqrt(BOUND_2D * np.maximum(widest, 0.0)), color=BOUND, linewidth=1.0, label="95% of the particles")
-    heading = np.degrees(np.sqrt(found.covariances[:, 2, 2]))
-    bottom.plot(at, BOUND_1D * heading, color=BOUND, linewidth=1.0, label="95% of the particles")
+    top.plot(at, np.sqrt(BOUND_2D * np.maximum(widest, 0.0)), color=BOUND, linewidth=1.0, label=WITHIN)
+    # No heading is further off than half a turn.
+    heading = np.minimum(BOUND_1D * np.degrees(np.sqrt(found.covariances[:, 2, 2])), 180.0)
+    bottom.plot(at, heading, color=BOUND, linewidth=1.0, label=WITHIN)
     if log.has_poses:
         off = found.poses - log.poses
         top.plot(time, np.hypot(off[:, 0], off[:, 1]), color=ESTIMATE, linewidth=1.0, label="error")
         turn = np.degrees(np.abs(wrap_angle(off[:, 2])))
         bottom.plot(time, turn, color=ESTIMATE, linewidth=1.0, label="error")
-    for ax, title, unit in ((top, "Position", "m"), (bottom, "Heading", "deg")):
-        style(ax, title=title, x="time [s]", y=f"{'error' if log.has_poses else '95% of the particles'} [{unit}]")
+    for ax, of, unit in ((top, "position", "m"), (bottom, "heading", "deg")):
+        title, what = (f"Error of the {of}", "error") if log.has_poses else (f"How sure of the {of}", WITHIN)
+        style(ax, title=title, x="time [s]", y=f"{what} [{unit}]")
         ax.set_ylim(bottom=0.0)
         ax.set_xlim(0.0, max(float(time[-1]), 1e-3))
-        legend(ax, loc="upper right")
+        if log.has_poses:
+            legend(ax, loc="upper right")

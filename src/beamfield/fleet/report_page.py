@@ -20,7 +20,7 @@ from beamfield.report.verdict import VAGUE
 # Colours alone tell nothing to many readers: each light is named.
 LEVELS: Mapping[Light, Level | str] = {"red": "bad", "amber": "care", "green": "good", "grey": ""}
 MOST_LEFT_OUT = 50
-# On a phone the table is moved aside, rather than set in columns of a word.
+# On narrow screens the table is moved aside, rather than set in columns of a word; phones show a robot as a block.
 ONE_LINE, WIDE = 'style="white-space: nowrap"', 'style="min-width: 15rem"'
 KEY = (
     "Red: a fault to see to now. Amber: one to watch, or many runs that cannot be used. Green: nothing was found in "
@@ -113,9 +113,10 @@ def _lights(states: Iterable[RobotState]) -> str:
     parts = []
     if others:
         names = ("", "robot", "site", "what was found", "what to do", "runs used")
-        heads = "".join(f'<th scope="col">{name}</th>' for name in names)
+        columns = "".join(f'<th scope="col">{name}</th>' for name in names)
         body = "\n".join(map(_light, others))
-        parts.append(f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table></div>')
+        head = f"<thead><tr>{columns}</tr></thead>"
+        parts.append(f'<div class="scroll"><table class="robots">{head}\n<tbody>{body}</tbody></table></div>')
     if green:
         listed = table(("robot", "site", "not tested", "runs used"), green, right=(3,))
         missing = ", but not everything was tested" if any(row[2] != "-" for row in green) else ""
@@ -144,7 +145,8 @@ def _light(state: RobotState) -> str:
     return (
         f'<tr><td class="{LEVELS[state.light]}" style="padding-left: .5rem"><b class="label">{state.light}</b></td>'
         f'<th scope="row" {ONE_LINE}><b>{escaped(state.robot)}</b></th><td {ONE_LINE}>{escaped(state.site)}</td>'
-        f'<td {WIDE}>{found}</td><td {WIDE}>{do}</td><td class="n">{used}</td></tr>'
+        f'<td {WIDE}>{found}</td><td {WIDE} data-label="What to do">{do}</td>'
+        f'<td class="n" data-label="Runs used">{used}</td></tr>'
     )
 
 

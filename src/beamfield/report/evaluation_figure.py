@@ -37,7 +37,7 @@ def evaluation_figure(evaluation: Evaluation) -> Figure:
     _error_axis(errors, [one for _, one, _, _ in rows])
     inside.axvline(RIGHT_SHARE, color=QUIET, linewidth=1.0, linestyle="--")
     inside.set_xlim(-0.03, 1.03)
-    style(inside, x="share of updates with the reference\nin the particles' 95% ellipse", grid="x")
+    style(inside, x="share of updates with the reference in\nthe particles' 95% ellipse; dashed: 0.95", grid="x")
     errors.set_yticks(heights, [_shortened(label) for label, *_ in rows])
     errors.set_ylim(heights[-1] + 0.6, -0.6)
     return figure
@@ -61,7 +61,7 @@ def _error_axis(axes: Axes, trials: list[ReplayTrials]) -> None:
     axes.xaxis.set_major_locator(FixedLocator([tick for tick in TICKS if low <= tick <= high]))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    style(axes, x="mean position error of a run [m]\ndots: runs, crosses: lost ones, bars: means", grid="x")
+    style(axes, x="mean position error of a run [m], log scale\ndots: runs, crosses: lost ones, bars: means", grid="x")
     axes.tick_params(which="minor", bottom=False)
 
 

@@ -51,7 +51,7 @@ def exponent_section(learned: ExponentLearning) -> PageSection:
         "hold the truth in 90% of the cases. Covered: the share on held-out blocks of time. Nats: mean logarithm of "
         "the posterior's density at the truth over the prior's; 0 says nothing, far below 0 is certain and wrong.</p>"
     )
-    return PageSection(ANCHOR, TITLE, markup)
+    return PageSection(ANCHOR, TITLE, markup, folded=True)
 
 
 def exponent_as_dict(learned: ExponentLearning) -> dict[str, Any]:

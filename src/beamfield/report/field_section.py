@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from beamfield.calibration.field.learning import FieldLearning, FieldScore
 from beamfield.report.escape import escaped
-from beamfield.report.page import table
+from beamfield.report.page import fold, table
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned, plus_minus
 
@@ -41,12 +41,19 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
         "sigma_hit make the readings most likely along the axes of their beams; without the reference poses' error "
         f"sigma_hit is {learned.density_sigma:.4g} m. With the exponents, the 90% regions of posteriors around the "
         f"reference poses hold the truth in 90% of the cases: of drives of some scans, and of single scans.</p>"
+        f"{fold('How well it does on held-out blocks', _scores(learned))}"
+        f"{fold('The file likelihood_field.yaml', f'<pre>{escaped(file_text)}</pre>')}"
+    )
+    return PageSection("field", TITLE, markup)
+
+
+def _scores(learned: FieldLearning) -> str:
+    return (
         f"{table(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3))}"
         "<p>Nats per reading: mean log density along the axis, given that the reading is a range. Nats per posterior: "
         "mean logarithm of the posterior's density at the reference over the prior's, of a few scans each; 0 for a "
         "field that says nothing, far below 0 for one that is certain and wrong. Covered: share of those posteriors "
-        f"whose 90% region holds the truth.</p>"
-        f"<details><summary>The file likelihood_field.yaml</summary><pre>{escaped(file_text)}</pre></details>"
+        "whose 90% region holds the truth.</p>"
     )
     return PageSection(ANCHOR, TITLE, markup)
 

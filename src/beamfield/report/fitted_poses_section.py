@@ -44,7 +44,8 @@ def fitted_poses_section(
     only the first where the beams were not halved. `given`: the user said how wrong the poses are.
     """
     markup = f"<p>{escaped(sentence)}</p><p>{escaped(_details(fitted, results, given=given))}</p>"
-    return PageSection("fitted-poses", TITLE, markup + table(_header(results), _rows(results), right=NUMBERS))
+    markup += table(_header(results), _rows(results), right=NUMBERS)
+    return PageSection("fitted-poses", TITLE, markup, folded=True)
 
 
 def _details(fitted: CrossFittedPoses, results: Mapping[str, Calibration], *, given: bool) -> str:

@@ -20,7 +20,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.as_json import plain
 from beamfield.report.escape import escaped
 from beamfield.report.figures import report_figures
-from beamfield.report.page import LEVELS, document, figure, finding_list, table, verdict_box
+from beamfield.report.page import LEVELS, document, figure, finding_list, fold, table, verdict_box
 from beamfield.report.page_section import PageSection
 from beamfield.report.parameter_rows import EXTENSIONS, HEADER, parameter_rows
 from beamfield.report.text_table import form_line, form_name, plus_minus, score_rows
@@ -30,16 +30,19 @@ from beamfield.sensors import SensorLog
 
 AMCL = (
     "AMCL's beam model (laser_model_type: beam) has the six parameters under these names, in ROS 1 with the prefix "
-    "laser_, and laser_max_range. It leaves out the normalisers of (6.4) and (6.7) and sums cubes, so these "
-    "values are a start there, not an optimum. <code>beamfield calibrate --stack nav2</code> (or ros1, beluga, mrpt, "
-    "f1tenth) fits the program's own model."
+    "laser_, but it leaves out the normalisers of (6.4) and (6.7) and sums cubes: these values are a start there, not "
+    "an optimum. <code>beamfield calibrate --stack nav2</code> (or ros1, beluga, mrpt, f1tenth) fits the program's own "
+    "model."
 )
 KEY = (
     f"The box above is green ({LEVELS['good'].lower()}), orange ({LEVELS['care'].lower()}) or red "
-    f"({LEVELS['bad'].lower()}); blue boxes are notes. Sections, figures and equations such as (6.12) are those of "
+    f"({LEVELS['bad'].lower()}); blue boxes are notes. A click on a line with a triangle "
+    "unfolds it; what is unfolded is printed. Sections, figures and equations such as (6.12) are those of "
     "chapter 6 of Probabilistic Robotics (Thrun, Burgard and Fox, 2005), called the book below."
 )
 LEFT_OUT_AT_ZERO = (*EXTENSIONS, "min_range")
+# The picture that opens the page, and those under "Figures" that are not folded.
+FIRST, SHOWN = "cause-map", ("scan-fit",)
 UNSURE = "left out, or for the weights alone: the drawn map has no straight wall there"
 
 
@@ -58,34 +61,39 @@ def render_report(
     name, or mapping with "name" and "sha256"; the roles "log", "map" and "poses" go into the head of the page), "date",
     "program" (name and version), "notes" (sentences on how the log was read), "options" (with "odometry", if that is
     what the poses are); the rest is listed at the end. A section with a verdict opens the page, before the beam model;
-    the others follow the score.
+    the others follow the score, those that are folded the figures.
     """
     origin = dict(provenance or {})
     name = log.finder.name or "the range finder"
     lead = next((part for part in sections if part.verdict), None)
     rest = [part for part in sections if part is not lead]
     title = f"Beam model of {name}" if lead is None else f"{lead.title} for {name}"
-    figures = report_figures(calibration, grid, log, scan_fit)
+    drawn = report_figures(calibration, grid, log, scan_fit)
+    first = [part for part in drawn if part.name == FIRST]
+    figures = sorted((part for part in drawn if part.name != FIRST), key=lambda part: part.name not in SHOWN)
     contents = [
         *([(lead.anchor, lead.title), ("beam-model", "Beam model")] if lead else []),
+        *((part.name, part.title) for part in first),
         *([("warnings", "Warnings")] if _warnings(calibration) else []),
         ("parameters", "Parameters"),
         ("score", "Score"),
-        *((part.anchor, part.title) for part in rest),
-        ("data", "Data used"),
+        *((part.anchor, part.title) for part in rest if not part.folded),
         ("figures", "Figures"),
-        ("origin", "Origin"),
+        ("details", "Details"),
     ]
     main = [
         f'<h1>{escaped(title)}</h1>\n<p class="facts">{_facts(calibration, log, origin)}</p>',
         *_answers(calibration, lead),
+        *map(figure, first),
         _findings(calibration),
-        _parameters(calibration, log),
+        _parameters(calibration, log, for_amcl=lead is None),
         _score(calibration),
-        *map(_section, rest),
-        _data(calibration, log, origin),
+        *(_section(part) for part in rest if not part.folded),
         '<h2 id="figures">Figures</h2>',
-        *map(figure, figures),
+        *(figure(part, folded=part.name not in SHOWN) for part in figures),
+        '<h2 id="details">Details</h2>',
+        *(fold(part.title, part.markup, part.anchor) for part in rest if part.folded),
+        _data(calibration, log, origin),
         _origin(calibration, origin),
     ]
     return document(title, "\n".join(main), contents, f"Made by {_program(origin)}.", figures)
@@ -146,18 +154,18 @@ def _findings(calibration: Calibration) -> str:
     if warnings:
         parts.append(f'<h2 id="warnings">Before you trust it</h2>\n{finding_list(warnings)}')
     if notes:
-        count = f"{len(notes)} more observation{'s' if len(notes) > 1 else ''}"
-        parts.append(f"<details><summary>{count}</summary>{finding_list(notes)}</details>")
+        parts.append(fold(f"{len(notes)} more observation{'s' if len(notes) > 1 else ''}", finding_list(notes)))
     if not calibration.findings:
         parts.append("<p>No warnings: map, reference poses and data give no reason to distrust the result.</p>")
     return "\n".join(parts)
 
 
-def _parameters(calibration: Calibration, log: SensorLog) -> str:
+def _parameters(calibration: Calibration, log: SensorLog, *, for_amcl: bool) -> str:
     rows = [row.cells for row in parameter_rows(calibration)]
     return (
         f'<h2 id="parameters">Parameters</h2>\n{table(HEADER, rows, right=(1,), css="parameters")}\n'
-        f"<p>{_interval_line(calibration)}</p>\n{_snippets(calibration, log)}"
+        f"<p>{_interval_line(calibration)}</p>\n{f'<p>{AMCL}</p>' if for_amcl else ''}\n"
+        f"{fold('The values to copy', _snippets(calibration, log))}"
     )
 
 
@@ -172,7 +180,7 @@ def _interval_line(calibration: Calibration) -> str:
 
 def _snippets(calibration: Calibration, log: SensorLog) -> str:
     """The parameters to copy; those of the book's form as well, for programs that know no other."""
-    parts = [_snippet("The result, to copy:", calibration.parameters, log)]
+    parts = [_snippet("The result:", calibration.parameters, log)]
     plain_form = next((c for c in calibration.candidates if c.is_chapter), None)
     if plain_form is not None and not plain_form.chosen:
         less = next(c for c in calibration.candidates if c.chosen).gain - plain_form.gain
@@ -181,7 +189,7 @@ def _snippets(calibration: Calibration, log: SensorLog) -> str:
             f"{less:.4f} nats less per held-out beam):"
         )
         parts.append(_snippet(head, plain_form.result.parameters, log))
-    return "\n".join([*parts, f"<p>{AMCL}</p>"])
+    return "\n".join(parts)
 
 
 def _snippet(head: str, parameters: BeamParameters, log: SensorLog) -> str:
@@ -207,12 +215,13 @@ def _forms(candidates: Sequence[Candidate]) -> str:
         return ""
     rows = [(form_name(c), plus_minus(c.gain, c.gain_se, sign=True) if i else "") for i, c in enumerate(candidates)]
     kept = [i for i, candidate in enumerate(candidates) if candidate.chosen]
-    return (
+    compared = (
         f"{table(('form of a hit', 'gain, nats per beam'), rows, right=(1,), bold=kept)}\n"
         "<p>A range offset lets hits lie beside the expected range (walls drawn too thick or too thin); a sigma slope "
         f"lets the noise grow with range. A further parameter must gain {LEAST_GAIN:g} nats per held-out beam and "
         "twice the standard error.</p>"
     )
+    return fold("Forms of a hit that were compared", compared)
 
 
 def _data(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -> str:
@@ -231,12 +240,13 @@ def _data(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -
         (f"left out: the ray hits nothing within {table.max_range:g} m", nothing),
     ]
     policy = log.no_return
-    return (
-        f'<h2 id="data">Data used</h2>\n<div class="panels">{_counts(scans)}{_counts(beams)}</div>\n'
+    markup = (
+        f'<div class="panels">{_counts(scans)}{_counts(beams)}</div>\n'
         f"<p>No return: {policy.share:.2%} of the log's readings were converted ({escaped(policy.origin)}: "
         f"{escaped(policy.explanation)}). The sensor's limit is {log.finder.max_range:g} m. "
         f"{_duration(calibration)}</p>{_notes(origin)}"
     )
+    return fold("Data used", markup, "data")
 
 
 def _notes(origin: Mapping[str, Any]) -> str:
@@ -262,11 +272,8 @@ def _counts(rows: list[tuple[str, int]]) -> str:
 def _origin(calibration: Calibration, origin: Mapping[str, Any]) -> str:
     rest = {name: value for name, value in origin.items() if name != "notes"}
     given = _tree(plain(rest)) if rest else "<p>Not recorded.</p>"
-    return (
-        '<h2 id="origin">Origin</h2>\n'
-        f"<details open><summary>Inputs and program</summary>{given}</details>\n"
-        f"<details><summary>Options of the calibration</summary>{_tree(plain(calibration.options))}</details>"
-    )
+    options = f"<h4>Options of the calibration</h4>\n{_tree(plain(calibration.options))}"
+    return fold("Origin: inputs, program, options", f"{given}\n{options}", "origin")
 
 
 def _tree(value: Any) -> str:

@@ -16,7 +16,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_density import CAUSES
 from beamfield.plot import categories, draw_cells
 from beamfield.report.colours import CAUSE_COLOURS, MODEL
-from beamfield.report.drawing import WIDE, legend_above, new_axes, style
+from beamfield.report.drawing import NARROW, WIDE, legend_above, new_axes, style
 from beamfield.report.panel import ReportFigure, one_picture
 from beamfield.report.range_bins import thinned
 from beamfield.sensors import SensorLog
@@ -25,6 +25,8 @@ MOST_POINTS = 40_000
 # Metres shown around the data.
 MARGIN = 1.0
 Limits = tuple[float, float, float, float]
+# A map higher than this many times its width is drawn narrow: as wide as the page, it would leave most of it empty.
+TALL = 1.3
 # Free, unknown, occupied.
 MAP_COLOURS = ("#FFFFFF", "#EEF0F2", "#8A929B")
 
@@ -37,7 +39,9 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     causes = calibration.causes[rows]
     path = log.poses[calibration.selection.used, :2]
     limits = _limits(points[causes != 3], path)
-    figure, axes = new_axes(WIDE, figure_height(limits), above=1)
+    tall = _aspect(limits) > TALL
+    width, lines, columns = (NARROW, 3, 2) if tall else (WIDE, 1, 6)
+    figure, axes = new_axes(width, figure_height(limits, width=width), above=lines)
     draw_map(axes, grid, limits)
     all_causes = calibration.causes[~table.hits_nothing]
     shares = np.bincount(all_causes, minlength=4) / max(len(all_causes), 1)
@@ -51,18 +55,19 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
         label = f"{name} {shares[cause]:.1%}"
         axes.scatter([], [], s=40, marker=markers[cause], color=CAUSE_COLOURS[cause], label=label)
     _draw_path(axes, path)
-    frame(axes, limits)
+    frame(axes, limits, with_legend=False)
+    legend_above(axes, ncols=columns)
     said = ", ".join(f"{name} {share:.1%}" for name, share in zip(CAUSES, shares, strict=True))
     return one_picture(
         "cause-map",
-        "Where each cause occurs",
+        "Readings in the map, by their cause",
         figure,
         f"Map with the end points of the beams, by most likely cause: {said}.",
-        f"End points of {len(rows)} beams by their most likely cause, over the map, with the robot's path (circle: "
-        "start, cross: end). Beams without return are triangles where the map expects the obstacle, below the hits: "
-        "they show where most beams do not return, as on glass, black or distant surfaces. A dense group of short "
-        "points is an object that the map lacks; random points in rows behind a wall are an opened door, a moved "
-        "wall, or poses that are off.",
+        f"Where {len(rows)} beams end, by most likely cause: hit (the mapped obstacle), short (something nearer, which "
+        "the map lacks), max (no return: triangles where the map has the obstacle, as on glass, black or distant "
+        "surfaces), rand (nothing explains it). Black is the robot's path (circle: start, cross: end). A dense group "
+        "of short points is an object that the map lacks; random points in rows behind a wall are an opened door, a "
+        "moved wall, or poses that are off.",
         "Section 6.3.3 (the correspondence c_i of a reading); (6.32) projects the end points",
         cloud=True,
     )
@@ -123,10 +128,14 @@ def limits_around(points: FloatArray, margin: float = MARGIN) -> Limits:
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def figure_height(limits: Limits, *, rest: float = 0.85, least: float = 2.0) -> float:
-    """Return the height of a wide figure in inches for equal axes, within what a page takes; `rest` is for the text."""
-    aspect = (limits[3] - limits[2]) / max(limits[1] - limits[0], 1e-9)
-    return float(np.clip((WIDE - 0.7) * aspect + rest, least, 10.5))
+def figure_height(limits: Limits, *, width: float = WIDE, rest: float = 0.85, least: float = 2.0) -> float:
+    """Return the height of a figure in inches for equal axes, within what a screen takes; `rest` is for the text."""
+    most = 7.0 if width > NARROW else 5.5
+    return float(np.clip((width - 0.7) * _aspect(limits) + rest, least, most))
+
+
+def _aspect(limits: Limits) -> float:
+    return (limits[3] - limits[2]) / max(limits[1] - limits[0], 1e-9)
 
 
 def colour_bar(figure: Figure, axes: Axes, drawn: ScalarMappable, label: str) -> None:

@@ -41,7 +41,8 @@ def document(
 
 def verdict_box(level: Level, text: str, word: str = "") -> str:
     """Return the answer in a box of its level's colour, which begins with a word, the level's if it is empty."""
-    return f'<p class="verdict {level}"><b class="label">{word or LEVELS[level]}</b> {escaped(text)}</p>'
+    said = escaped(text).replace(" -&gt; ", "\N{NO-BREAK SPACE}→\N{NO-BREAK SPACE}")
+    return f'<p class="verdict {level}"><b class="label">{word or LEVELS[level]}</b> {said}</p>'
 
 
 def finding_list(findings: Iterable[Finding]) -> str:
@@ -57,6 +58,13 @@ def _finding(finding: Finding) -> str:
         f'<li class="{finding.severity}"><p><b class="label">{SEVERITIES[finding.severity]}</b> '
         f"{escaped(finding.text)} <code>{escaped(finding.name)}</code></p>{why}{do}</li>"
     )
+
+
+def fold(title: str, markup: str, anchor: str = "") -> str:
+    """Return a part of the page that a click unfolds: its title, plain text, and the HTML below it."""
+    # A link to what lies inside unfolds it, a link to the fold itself would not.
+    inside = f'<div id="{anchor}">\n{markup}\n</div>' if anchor else markup
+    return f'<details class="fold"><summary><h3>{escaped(title)}</h3></summary>\n{inside}\n</details>'
 
 
 def table(
@@ -87,8 +95,11 @@ def table(
     return f'<div class="scroll"><table{kind}>{thead}<tbody>{body}</tbody></table></div>'
 
 
-def figure(drawn: ReportFigure) -> str:
-    """Return a figure with its caption, whose pictures a click enlarges; without pictures, the caption alone."""
+def figure(drawn: ReportFigure, *, folded: bool = False) -> str:
+    """Return a figure with its caption, whose pictures a click enlarges; without pictures, the caption alone.
+
+    A folded one shows its title until a click unfolds it.
+    """
     # A checkbox needs no script, and is reached by keys.
     box = f'<input type="checkbox" aria-label="Enlarge: {escaped(drawn.title)}">'
     panels = "\n".join(
@@ -98,7 +109,9 @@ def figure(drawn: ReportFigure) -> str:
     )
     pictures = f'<div class="panels">{panels}</div>\n' if panels else ""
     source = f' <span class="source">[{escaped(drawn.source)}]</span>' if drawn.source else ""
-    return (
-        f'<figure id="{drawn.name}">\n<h3>{escaped(drawn.title)}</h3>\n{pictures}'
+    head = "" if folded else f"<h3>{escaped(drawn.title)}</h3>\n"
+    markup = (
+        f'<figure id="{drawn.name}">\n{head}{pictures}'
         f"<figcaption>{escaped(drawn.caption)}{source}</figcaption>\n</figure>"
     )
+    return fold(drawn.title, markup) if folded else markup

@@ -24,6 +24,8 @@ class PageSection:
         HTML below the heading.
     verdict, level
         The answer, if this is the part that was asked for: it then opens the page. Empty for other parts.
+    folded
+        Whether it shows its heading alone until a click unfolds it: for evidence that few readers ask for.
     """
 
     anchor: str
@@ -31,6 +33,7 @@ class PageSection:
     markup: str
     verdict: str = ""
     level: Level = "good"
+    folded: bool = False
 
     @classmethod
     def without(cls, anchor: str, title: str, reason: str) -> PageSection:

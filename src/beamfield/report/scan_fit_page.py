@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from beamfield import __version__
 from beamfield.report.as_json import LEVEL, plain, scan_fits_as_dict
 from beamfield.report.escape import escaped
-from beamfield.report.page import document, figure, table, verdict_box
+from beamfield.report.page import document, figure, fold, table, verdict_box
 from beamfield.report.page_section import Level
 from beamfield.report.panel import ReportFigure
 from beamfield.scan_fit.reference import ScanFitReference
@@ -127,14 +127,14 @@ def render_fit_page(
     if reference.reliability:
         rows = [(f"{r.predicted:.3f}", f"{r.observed:.3f}", f"{r.n:,}") for r in reference.reliability]
         contents.insert(-1, ("reliability", RELIABILITY))
-        parts.append(
-            f'<h2 id="reliability">{RELIABILITY}</h2>\n'
+        said = (
             f"{table(('predicted', 'was lost', 'scans'), rows, right=(0, 1, 2))}\n"
             "<p>Simulated kidnappings (scored at wrong poses for stretches of 20 s on average) in blocks of time that "
             "the evidence was not learned from: where the filter said about the first number, the robot was lost in "
             "the second.</p>"
         )
+        parts.append(fold(RELIABILITY, said, "reliability"))
     inputs = [(role, entry["name"], entry["sha256"]) for role, entry in origin.get("inputs", {}).items()]
-    parts.append(f'<h2 id="origin">Origin</h2>\n{table((), inputs, css="origin")}')
+    parts.append(fold("Origin", table((), inputs, css="origin"), "origin"))
     program = origin.get("program", f"beamfield {__version__}")
     return document(title, "\n".join(parts), contents, f"{SOURCE} Made by {program}.")

@@ -11,7 +11,7 @@ from beamfield.report.as_json import plain
 from beamfield.report.colours import DATA, FIT, HELD_OUT, QUIET
 from beamfield.report.drawing import NARROW, legend_above, new_axes
 from beamfield.report.escape import escaped
-from beamfield.report.page import figure, finding_list, table
+from beamfield.report.page import figure, finding_list, fold, table
 from beamfield.report.page_section import Level, PageSection
 from beamfield.report.panel import Panel, ReportFigure, svg_panel
 from beamfield.report.replay_choice import replay_as_dict, replay_markup, replay_tables, replay_verdict
@@ -68,17 +68,19 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
         "the mean distance of "
         "particles from the reference after one scan, over held-out scans; left of the dashed line the scan helped.",
     )
-    markup = (
-        f"{finding_list(found) if found else ''}{values}\n<p>The file:</p><pre>{escaped(file_text)}</pre>\n{replayed}\n"
-        f"<h3>Windows</h3>\n{scores}"
-        f"<p>Score: on {len(chosen.chosen.held_out.log_score)} held-out windows of {options.scans} scans, the mean "
-        "logarithm of the posterior's density at the reference over the prior's, in "
+    windows = (
+        f"{scores}<p>Score: on {len(chosen.chosen.held_out.log_score)} held-out windows of {options.scans} scans, the "
+        "mean logarithm of the posterior's density at the reference over the prior's, in "
         "nats: 0 for weights that say nothing, far below 0 for weights that are certain and wrong. Coverage: share of "
         "those windows whose 95% region holds the reference, which itself may be "
         f"{options.reference_error * 100:g} cm off. Effective particles and error: {chosen.update.n_particles} "
         f"particles, {chosen.update.error_before[0] * 100:.0f} cm from the reference in the mean, weighed by one "
         f"scan.</p>\n<p>{escaped(HOW[chosen.how])} A scan multiplies a particle's weight by "
         f"{escaped(model_named(stack, model).formula)}.</p>\n{figure(choice)}"
+    )
+    markup = (
+        f"{finding_list(found) if found else ''}{values}\n{replayed}\n"
+        f"{fold('The parameter file', f'<pre>{escaped(file_text)}</pre>')}\n{fold('Scores on windows', windows)}"
     )
     is_better = replay is not None and replay.is_better
     doubtful = result.disagrees_in_part or result.is_from_few_places

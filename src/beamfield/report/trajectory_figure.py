@@ -8,10 +8,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
+from beamfield.localization.own_poses import LOST
 from beamfield.localization.trajectory import TrajectoryFit, position_deviations
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import CHI_SQUARE_95, PATH_COLOUR, draw_map
+from beamfield.report.colours import QUIET
 from beamfield.sensors import SensorLog
 
 NOT_TRUSTED = "#D55E00"
@@ -33,7 +35,7 @@ def draw_fit(fit: TrajectoryFit, log: SensorLog, grid: OccupancyGrid, title: str
         low, high = np.minimum(low, own.min(axis=0) - MARGIN), np.maximum(high, own.max(axis=0) + MARGIN)
     width, height = high - low
     size = 9.0 / max(width, height)
-    figure = Figure(figsize=(max(6.0, width * size), max(3.5, height * size) + 3.4), layout="constrained")
+    figure = Figure(figsize=(max(6.0, width * size), max(3.5, height * size) + 3.4), layout="compressed")
     above, below = figure.subplots(2, 1, height_ratios=(max(3.5, height * size), 2.2))
     _draw_path(fit, points, draw_map(grid, above))
     if log.has_poses:
@@ -42,7 +44,7 @@ def draw_fit(fit: TrajectoryFit, log: SensorLog, grid: OccupancyGrid, title: str
     above.set_ylim(low[1], high[1])
     above.set_title(title, fontsize=11)
     above.legend(loc="best", fontsize=8, framealpha=0.9)
-    _draw_deviations(fit, below)
+    _draw_deviations(fit, log, below)
     return figure
 
 
@@ -81,14 +83,21 @@ def _spread_along(poses: FloatArray) -> NDArray[np.int64]:
     return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], ELLIPSES)).clip(max=len(poses) - 1))
 
 
-def _draw_deviations(fit: TrajectoryFit, ax: Axes) -> None:
+def _draw_deviations(fit: TrajectoryFit, log: SensorLog, ax: Axes) -> None:
+    """Draw how uncertain the fitted positions are, and how far the log's own ones are from them."""
     since, deviation = fit.stamps - fit.stamps[0], position_deviations(fit.covariances)
-    ax.plot(since, deviation, color=PATH_COLOUR, lw=1.2)
+    ax.plot(since, deviation, color=PATH_COLOUR, lw=1.2, label="standard deviation of the fitted position")
     top = 1.1 * float(deviation.max())
+    if log.has_poses:
+        off = np.hypot(*(log.poses - fit.poses)[:, :2].T)
+        ax.plot(since, off, color=OWN_POSES, lw=1.2, label="from the fitted to the log's own position")
+        ax.axhline(LOST, color=QUIET, lw=0.9, ls="--", label=f"lost beyond {LOST:g} m")
+        top = max(top, 1.1 * LOST, 1.1 * float(np.nanmax(off)))
+        ax.legend(loc="best", fontsize=8, framealpha=0.9)
     if not fit.trusted.all():
         ax.fill_between(since, 0.0, top, where=~fit.trusted, color=NOT_TRUSTED, alpha=0.3, step="mid", lw=0)
     ax.set_ylim(0.0, top)
     ax.set_xlim(since[0], since[-1])
     ax.set_xlabel("time since the first scan [s]")
-    ax.set_ylabel("standard deviation\nof the position [m]")
+    ax.set_ylabel("distance [m]" if log.has_poses else "standard deviation\nof the position [m]")
     ax.grid(alpha=0.3)

@@ -2,7 +2,7 @@
 import { mean, signed, spread } from "./words.js";
 
 const SCANS = 240, TOGETHER = 20, WAIT_MS = 500;
-export const POSE = "A − B: pose score", READING = "A − B: log likelihood of a reading";
+export const POSE = "A − B: pose score [nats]", READING = "A − B: log likelihood of a reading [nats]";
 
 export class Comparison {
   // `explorer` sends messages; `changed` is called when there is more to show.

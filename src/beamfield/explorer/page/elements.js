@@ -36,6 +36,7 @@ export function build(root, hasPlace) {
     root,
     own: `beamfield-${Math.random().toString(36).slice(2)}`, // of several components in one notebook
     pose: make("span", { className: "pose" }),
+    hint: make("span", { className: "hint", title: KEYS, textContent: "Drag the robot, or its dot to turn it: the table says how well the scan fits there. Point at a reading to see why." }),
     trouble: make("span", { className: "trouble", role: "alert" }),
     said: make("div", { className: "hidden", "aria-live": "polite" }),
     copy: button("Copy link", "Copy the address of this moment and pose"),
@@ -74,7 +75,7 @@ export function build(root, hasPlace) {
     column("pose score", "how well this scan tells the reference pose from others: log of the posterior's density over the prior's, nats; 0 says nothing, negative is sure of a wrong pose"),
   )), page.scores);
   root.replaceChildren(make("div", { className: "layout" },
-    make("header", { className: "head" }, make("h1", { textContent: "beamfield explorer" }), page.pose, page.copy, page.trouble, page.said),
+    make("header", { className: "head" }, make("h1", { textContent: "beamfield explorer" }), page.pose, page.copy, page.hint, page.trouble, page.said),
     make("section", { className: "map", "aria-label": "Map" },
       make("div", { className: "tools" }, page.heat, page.building, page.recorded, page.filter, page.reference, page.fit),
       make("div", { className: "views" }, ...page.views.map((one) => one.figure))),
@@ -82,7 +83,7 @@ export function build(root, hasPlace) {
       make("div", { className: "row" }, page.play, page.scan, page.when, page.curve), page.line, page.worst, page.lost),
     section("reading", "One reading", page.density, page.densityText),
     make("div", { className: "side" },
-      section("models", "What each model says of this scan", table,
+      section("models", "What each model says of this scan [nats]", table,
         make("div", { className: "row beside" }, make("span", { textContent: "Beside it", "aria-hidden": "true" }), page.beside), page.verdict),
       section("parameters", "Parameters of the chosen model", page.sliders, page.judged, page.fitting,
         make("div", { className: "row" }, page.reset, page.resetTo, page.download))),

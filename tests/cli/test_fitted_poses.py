@@ -394,7 +394,8 @@ def test_doctor_tests_nothing_at_poses_that_the_map_refutes(world: Path, tmp_pat
 
     monkeypatch.setattr(fitted_poses, "fit_trajectory", refuse)
     write_another_building(tmp_path / "other.yaml")
-    main(["doctor", str(nav2_file(tmp_path)), "--map", str(tmp_path / "other.yaml"), "--log", str(world / "log.carmen")])
+    other, log = tmp_path / "other.yaml", world / "log.carmen"
+    main(["doctor", str(nav2_file(tmp_path)), "--map", str(other), "--log", str(log)])
     said = capsys.readouterr()
     assert "warning: map-disagrees" in said.out
     assert "motion-noise" not in said.out

@@ -11,6 +11,7 @@ from PIL import Image
 from beamfield.cli.main import main
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.occupancy import OccupancyGrid
+from tests.io.mini_bag import MiniBag
 
 GOOD = """\
 amcl:
@@ -67,6 +68,17 @@ def test_the_doctor_looks_at_the_map(good, tmp_path, capsys):
     assert found["foreign-name"]["parameter"] == "model_unknown_space"
 
 
+def test_the_doctor_looks_for_the_frames_of_a_bag(good, tmp_path, capsys):
+    good.write_text(GOOD + "    base_frame_id: base_footprint\n    odom_frame_id: odom\n")
+    bag = MiniBag().tf("base_link", "laser", 0.0, static=True)
+    for t in (1.0, 2.0):
+        bag.tf("odom", "base_link", t).scan(t)
+    assert main(["doctor", str(good), "--log", str(bag.write(tmp_path)), "--json"]) == 1
+    found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
+    assert found["frame-not-in-log"]["parameter"] == "base_frame_id"
+    assert found["frame-not-in-log"]["seen"].endswith("do not have, but base_link")
+
+
 def test_a_file_without_parameters_is_an_error_on_one_line(tmp_path, capsys):
     path = tmp_path / "other.yaml"
     path.write_text("a: 1\n")
@@ -112,6 +124,17 @@ def test_translation_patches_the_users_file(good, tmp_path, capsys):
     assert "    sigma_hit: 0.2\n" in text
     assert (tmp_path / "nav2.yaml.bak").read_text().startswith("amcl:")
     assert "the old file is nav2.yaml.bak" in capsys.readouterr().out
+
+
+def test_a_patch_says_which_launch_arguments_it_replaced(good, tmp_path, capsys):
+    target = tmp_path / "amcl.launch"
+    tags = "".join(f'<param name="laser_{name}" value="$(arg {name})"/>' for name in ("z_hit", "z_rand"))
+    target.write_text(
+        f'<launch><arg name="z_hit" default="0.5"/><node pkg="amcl" type="amcl" name="amcl">{tags}</node></launch>'
+    )
+    assert main(["translate", str(good), "--to", "ros1", "--patch", str(target)]) == 0
+    assert '<param name="laser_z_hit" value="0.947236"/>' in target.read_text()
+    assert "note: replaced $(arg z_hit), $(arg z_rand) by values, which arguments at launch" in capsys.readouterr().err
 
 
 def test_translation_writes_a_launch_file_that_can_be_read(good, tmp_path):

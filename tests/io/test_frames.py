@@ -90,6 +90,15 @@ def test_the_last_static_transform_counts():
     assert len(buffer.stamps_between("base", "laser")) == 0
 
 
+def test_all_frames_are_known_only_if_static_transforms_and_others_were_recorded():
+    buffer, still = TransformBuffer("log"), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    assert buffer.all_if_whole() == ()
+    buffer.add("odom", "base", 0.0, *still)
+    assert buffer.all_if_whole() == ()
+    buffer.add("base", "laser", 0.0, *still, static=True)
+    assert buffer.all_if_whole() == ("odom", "base", "laser")
+
+
 def test_leading_slashes_do_not_matter_and_empty_names_are_skipped():
     buffer = TransformBuffer("log")
     buffer.add("/odom", "/base", 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), static=True)

@@ -233,6 +233,13 @@ def test_a_picture_that_does_not_exist_names_the_yaml_file_and_the_picture(write
         read_ros_map(path)
     assert str(path) in str(caught.value)
     assert str(tmp_path / "gone.pgm") in str(caught.value)
+    # As ROS 1's map_saver writes it, on another computer.
+    path = write(image="/home/robot/maps/gone.pgm")
+    (tmp_path / "gone.pgm").touch()
+    with pytest.raises(
+        FormatError, match=r"maps/gone\.pgm' does not exist, but 'gone\.pgm' lies beside the file: write that"
+    ):
+        read_ros_map(path)
 
 
 @pytest.mark.parametrize("text", ["", "- 1\n", "image: !!python/name:os.system\n", "a: 1\n---\nb: 1\n", "\x00\xff"])

@@ -67,7 +67,7 @@ def test_rays_in_lockstep_equal_rays_one_by_one(rng):
     origins[::2] = np.round(origins[::2] * 2) / 2
     origins[::2, 2] *= np.pi / 4
     ranges, one_by_one, cells = np.empty(300), np.empty(300), np.empty((300, 2), np.int32)
-    kernels.cast_rays(origins, (0.0, 0.0, 0.0), terrain, ranges)
+    kernels.cast_fan(origins, (0.0, 0.0, 0.0), one_beam(), True, terrain, ranges)
     trace_fan(origins, (0.0, 0.0, 0.0), one_beam(), terrain, one_by_one, cells, False)
     np.testing.assert_array_equal(ranges, one_by_one)
     np.testing.assert_array_equal(cells[:, 0] >= 0, ranges < 30.0)
@@ -94,7 +94,7 @@ def test_rays_float32_cannot_decide_are_traced():
     terrain = terrain_of(occupied)
     origins = np.array([[0.5, 0.5, np.pi / 4]])
     ranges = np.empty(1)
-    kernels.cast_rays(origins, (0.0, 0.0, 0.0), terrain, ranges)
+    kernels.cast_fan(origins, (0.0, 0.0, 0.0), one_beam(), True, terrain, ranges)
     assert ranges[0] == pytest.approx(3.5 * np.sqrt(2), rel=1e-15)
 
 

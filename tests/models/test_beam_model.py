@@ -173,6 +173,7 @@ def test_many_poses_take_little_memory(grid, rng):
     model = BeamModel(grid, PARAMETERS)
     scan = model.sample([5.0, 2.5, 0.1], sensor, rng)[0]
     poses = rng.uniform([0, 1, -3], [10, 4, 3], (20_000, 3))
+    model.log_likelihood(scan, poses)  # compiled before memory is traced
     tracemalloc.start()
     values = model.log_likelihood(scan, poses)
     peak = tracemalloc.get_traced_memory()[1]

@@ -136,10 +136,62 @@ def test_a_text_of_rosparam_that_is_not_understood_is_refused_but_for_other_prog
     assert entries["laser_z_hit"].value == 0.4
 
 
-def test_a_parameter_in_a_tag_and_in_the_text_of_rosparam_is_refused(write):
-    twice = node("<rosparam>laser_z_hit: 0.5</rosparam>", param("laser_z_hit", "0.4"))
-    with pytest.raises(FormatError, match="laser_z_hit: duplicate parameter"):
-        read_stack_file(write(twice))
+def test_of_a_parameter_given_several_times_the_last_counts_and_is_the_one_that_changes(write):
+    # As in the launch file of amcl's own examples, and in those made of it.
+    tags = param("laser_lambda_short", "0.1"), param("laser_z_hit", "0.4"), param("laser_lambda_short", "0.2")
+    path = write(node("<rosparam>laser_z_hit: 0.5</rosparam>", *tags))
+    section = read_stack_file(path).section
+    assert {name: entry.value for name, entry in section.entries.items()} == {
+        "laser_z_hit": 0.4, "laser_lambda_short": 0.2,
+    }  # fmt: skip
+    assert section.entries["laser_z_hit"].others == ((3, 0.5),)
+    before = path.read_text()
+    write_values(section, {"laser_z_hit": 0.6, "laser_lambda_short": 0.3})
+    assert path.read_text() == before.replace('value="0.4"', 'value="0.6"').replace('value="0.2"', 'value="0.3"')
+
+
+def test_a_tag_counts_more_than_the_text_of_rosparam_below_it(write):
+    # roslaunch sets the tags of a node last (`_node_tag` in its xmlloader.py).
+    path = write(node(param("laser_z_hit", "0.4"), "<rosparam>laser_z_hit: 0.5</rosparam>"))
+    entry = read_stack_file(path).section.entries["laser_z_hit"]
+    assert (entry.value, entry.others) == (0.4, ((4, 0.5),))
+
+
+def test_what_may_be_there_does_not_replace_what_is(write):
+    unsure = param("laser_z_hit", "0.9", 'if="$(arg outdoors)"')
+    for tags in ((param("laser_z_hit", "0.1"), unsure), (unsure, param("laser_z_hit", "0.1"))):
+        entry = read_stack_file(write(node(*tags))).section.entries["laser_z_hit"]
+        assert (entry.value, entry.others) == (0.1, ())
+
+
+def test_arguments_for_an_included_file_are_not_this_file_s(write):
+    included = '<include file="$(find robot)/more.launch"><arg name="z" value="0.9"/></include>'
+    own = '<arg name="z" default="0.5"/>'
+    for before in (included + own, own + included):
+        assert (
+            read_stack_file(write(before + node(param("laser_z_hit", "$(arg z)")))).section.entries["laser_z_hit"].value
+            == 0.5
+        )
+
+
+def test_a_namespace_is_filled_in(write):
+    group = f'<arg name="robot" default="r1"/><group ns="$(arg robot)">{node(param("laser_z_hit", "0.5"))}</group>'
+    assert read_stack_file(write(group)).section.label == "r1/amcl"
+
+
+def test_the_included_files_are_named_where_no_node_has_parameters(write):
+    files = "".join(f'<include file="{name}.launch"/>' for name in ("base", "amcl", "rviz"))
+    other = node(attributes='pkg="map_server" type="map_server" name="map"')
+    with pytest.raises(FormatError, match=r"no node with parameters of a measurement model, .* 'amcl\.launch'$"):
+        read_stack_file(write(files + other))
+    with pytest.raises(FormatError, match=r"included files .* 'base\.launch', 'rviz\.launch'$"):
+        read_stack_file(write(files.replace('<include file="amcl.launch"/>', "")))
+
+
+def test_all_files_that_have_the_parameters_are_named(write):
+    files = '<rosparam file="filter.yaml"/><rosparam file="laser.yaml"/>'
+    with pytest.raises(FormatError, match=r"not in this file but in 'filter\.yaml' and 'laser\.yaml': give that file"):
+        read_stack_file(write(node(files)))
 
 
 @pytest.mark.parametrize(

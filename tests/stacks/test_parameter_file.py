@@ -330,8 +330,8 @@ def test_faults_in_other_sections_of_an_ini_file_do_not_matter(write):
 HOSTILE = {
     "bomb.yaml": b"a: &a [x]\nb: [*a, *a]\nz_hit: 0.5\n", "deep.yaml": b"a: " + b"[" * 5000 + b"]" * 5000,
     "nul.yaml": b"z_hit: 0.5\0\n", "nul.launch": b"<launch>\0</launch>", "latin.yaml": b"z_hit: \xff\n",
-    "latin.launch": b"<launch>\xff</launch>", "latin.ini": b"[a]\nLF_stdHit=\xff\n",
-    "utf16.yaml": "z_hit: 0.5\n".encode("utf-16"), "twice.yaml": b"z_hit: 1.0\nz_hit: 2.0\n",
+    "latin.launch": b"<launch>\xff</launch>",
+    "utf16.yaml": "z_hit: 0.5\n".encode("utf-16"),
     "big.yaml": b"# " + b"x" * 200_001, "big.launch": b"<!--" + b"x" * 2_000_001, "big.ini": b"# " + b"x" * 2_000_001,
     "digits.yaml": b"z_hit: " + b"9" * 6000, "tag.yaml": b"z_hit: !!python/object:os.system 1\n",
     "nested.launch": b"<a>" * 50_000 + b"</a>" * 50_000, "start.py": b"import launch\n", "key.yaml": b"? z_hit\n",
@@ -346,6 +346,38 @@ def test_hostile_files_are_refused(tmp_path, name):
     with pytest.raises(FormatError, match=name) as refused:
         read_stack_file(path)
     assert len(str(refused.value)) < 300 + len(str(path))
+
+
+def test_bytes_of_other_encodings_in_an_ini_file_stay(write):
+    # As in the examples of MRPT.
+    path = write("", "p.ini")
+    path.write_bytes(b"// J. L. Blanco \xa9 2007\r\n" + INI.encode())
+    before = path.read_bytes()
+    write_values(read_stack_file(path).section, {"LF_stdHit": 0.1})
+    assert path.read_bytes() == before.replace(b"0.35", b"0.1")
+
+
+def test_of_a_key_given_twice_the_last_counts_and_other_nodes_may_have_two(write):
+    text = "amcl:\n  ros__parameters:\n    z_hit: 0.4\n    z_rand: 0.5\n    z_hit: 0.6 # ours\n"
+    path = write("planner: {a: 1}\n" + text + "planner: {a: 2, b: 3}\n")
+    section = read_stack_file(path).section
+    assert (section.entries["z_hit"].value, section.entries["z_hit"].others) == (0.6, ((4, 0.4),))
+    write_values(section, {"z_hit": 0.7, "sigma_hit": 0.1})
+    changed = text.replace("0.6 # ours\n", "0.7 # ours\n    sigma_hit: 0.1\n")
+    assert path.read_text() == "planner: {a: 1}\n" + changed + "planner: {a: 2, b: 3}\n"
+
+
+def test_ros_1_rounds_counts_and_ros_2_does_not(write):
+    path = write("laser_z_hit: 0.5\nresample_interval: 0.5\nmin_particles: 99.4\n")
+    settings = read_filter_settings(read_stack_file(path))
+    assert (settings.particles.resample_interval, settings.particles.min_particles) == (1, 99)
+    with pytest.raises(FormatError, match=r"resample_interval: expected a whole number, got 0\.5"):
+        read_filter_settings(read_stack_file(write("amcl: {ros__parameters: {resample_interval: 0.5}}\n")))
+
+
+def test_a_distance_too_small_for_a_number_is_0(write):
+    file = read_stack_file(write("laser_z_hit: 0.5\nupdate_min_d: 0.000000000000000000001\n"))
+    assert read_filter_settings(file).particles.update_min_d == 0.0
 
 
 def test_a_line_of_a_million_blanks_takes_no_time(write):
@@ -409,7 +441,7 @@ def test_a_file_that_changed_meanwhile_is_left_alone(write):
         ("<launch><node></launch>", "p.launch", r"p\.launch:1: not valid XML: mismatched tag"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><launch/>', "p.launch", r"document types are not supported, got <!DOCTYPE a"),
         ("<launch/>", "p.launch", "no parameters of a measurement model found"),
-        (LAUNCH.replace("laser_z_rand", "laser_z_hit"), "p.launch", r"p\.launch:6: laser_z_hit: duplicate parameter"),
+        ("amcl: {z_hit: 1.0}\namcl: {a: 1}\n", "p.yaml", r"p\.yaml:2: duplicate key 'amcl', as in line 1: .* keep one"),
         ("[a]\nLF_stdHit=1\nLF_stdHit=2\n", "p.ini", r"p\.ini:3: LF_stdHit: duplicate name in \[a\]"),
         ("[a]\nnonsense\n", "p.ini", r"p\.ini:2: expected \[section\], name = value or a comment, got 'nonsense'"),
         ("[a]\nlikelihoodMethod = 77\n", "p.ini", r"p\.ini:2: likelihoodMethod: no model of mrpt .* got 77"),

@@ -244,7 +244,12 @@ def write_patch(file: StackFile, fitted: StackPart) -> tuple[str, Path | None]:
         return left, None
     backup = write_values(file.section, values, record=fitted.record)
     changed = f"changed {', '.join(values)} in" if values else "noted that its values were checked in"
-    return f"{changed} {file.section.path}; the old file is {backup.name}", backup
+    said = [
+        f"{changed} {file.section.path}",
+        file.section.arguments_replaced_by(values),
+        f"the old file is {backup.name}",
+    ]
+    return "; ".join(text for text in said if text), backup
 
 
 def next_step(arguments: argparse.Namespace, backup: Path, shifted_map: Path | None) -> str:

@@ -81,12 +81,17 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("reading", 0, 1)
         of_poses: tuple[Finding, ...] = ()
         grid, map_file = (None, None) if arguments.map is None else _read_map(arguments)
-        log, notes = (None, ()) if arguments.log is None else options.read_sensor(arguments)
+        log = None
+        frames: tuple[str, ...] = ()
+        notes: tuple[str, ...] = ()
+        if arguments.log is not None:
+            whole = options.read_log_of_one_sensor(arguments)
+            log, frames, notes = whole.only_sensor(), whole.frames, whole.notes
         if log is not None and grid is not None:
             log, of_poses, more = _posed(log, grid, arguments, progress)
             notes = (*notes, *more)
         progress("examining", 0, 1)
-        found = examine(file, grid=grid, map_file=map_file, log=log)
+        found = examine(file, grid=grid, map_file=map_file, log=log, frames=frames)
     of_robot = {item.name for item in of_poses}
     hidden = MOTION_NOISE if of_robot & set(OF_THE_ROBOT) else ()
     # The robot's own faults come first: no value of a parameter mends them.

@@ -33,7 +33,7 @@ def is_stack_file(path: Path | None) -> bool:
         return False
     if path.suffix.lower() not in (".yaml", ".yml"):
         return True
-    return not {"likelihood_field", "beam_model"} & set(read_yaml(path).values)
+    return not {"likelihood_field", "beam_model"} & set(read_yaml(path, number_keys=True, last_counts=True).values)
 
 
 def stack_filter(

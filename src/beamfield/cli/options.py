@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -255,12 +256,21 @@ def read_sensor(
     arguments: argparse.Namespace, path: Path | None = None, poses: Path | None = None
 ) -> tuple[SensorLog, tuple[str, ...]]:
     """Read the one sensor of a log, and what was noticed on the way."""
+    log = read_log_of_one_sensor(arguments, path, poses)
+    return log.only_sensor(), log.notes
+
+
+def read_log_of_one_sensor(
+    arguments: argparse.Namespace, path: Path | None = None, poses: Path | None = None
+) -> ScanLog:
+    """Read a log of which one sensor was chosen, or that has only one."""
     if arguments.sensor and len(arguments.sensor) > 1:
         raise InvalidInputError(f"--sensor: expected one, got {', '.join(arguments.sensor)}")
     log = read_scans(arguments, path, poses)
     if not arguments.sensor:
         require_one_sensor(log, path or arguments.log)
-    return log.only_sensor(arguments.sensor[0] if arguments.sensor else None), log.notes
+    chosen = log.only_sensor(arguments.sensor[0] if arguments.sensor else None)
+    return replace(log, sensors={name: sensor for name, sensor in log.sensors.items() if sensor is chosen})
 
 
 def require_one_sensor(log: ScanLog, path: Path) -> None:

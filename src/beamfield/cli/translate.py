@@ -140,8 +140,11 @@ def _patch(arguments: argparse.Namespace, result: Translation) -> tuple[str, lis
 
     target = _patched_file(arguments, result.model)
     ran = _patched_file(arguments, None).model
-    backup = write_values(target.section, target.by_names_in_file(result.values))
+    values = target.by_names_in_file(result.values)
+    backup = write_values(target.section, values)
     notes = [f"the file chose {ran} before, now {result.model}"] if ran != result.model else []
+    if arguments_replaced := target.section.arguments_replaced_by(values):
+        notes.append(arguments_replaced)
     return f"changed {arguments.patch}, the old file is {backup.name}", notes
 
 

@@ -174,8 +174,9 @@ def fill_scan_log_likelihood(ranges: Floats, expected: Floats, view: BeamView, o
     n_together = max(1, min(BLOCK // k, expected.shape[0]))
     size = _whole_vectors(n_together * k)
     z, z_star, decay, density = np.zeros(size), np.zeros(size), np.empty(size), np.empty(size)
-    for i in range(n_together * k):
-        z[i] = ranges[i % k]
+    for i in range(n_together):
+        for b in range(k):
+            z[i * k + b] = ranges[b]
     _fill_decay(z, view, decay)
     at_limit = _limit_factor(view)
     for start in range(0, expected.shape[0], n_together):
@@ -185,32 +186,36 @@ def fill_scan_log_likelihood(ranges: Floats, expected: Floats, view: BeamView, o
                 z_star[i * k + b] = expected[start + i, b]
         _fill_quick(z, decay, z_star, at_limit, view, density)
         for i in range(n):
-            out[start + i] = _sum_of_logs(density[i * k : (i + 1) * k], ranges, expected[start + i], view)
+            out[start + i] = _sum_of_logs(density, i * k, ranges, z_star, view)
 
 
 @inlined_kernel
-def _sum_of_logs(density: Floats, ranges: Floats, expected: Floats, view: BeamView) -> float:
-    """Return the sum of the logarithms of what `_fill_quick` found, and `log_mixture` where it found none."""
+def _sum_of_logs(density: Floats, at: int, ranges: Floats, z_star: Floats, view: BeamView) -> float:
+    """Return the sum of the logarithms of densities from number `at` on, one for each range.
+
+    `log_mixture` stands for those that are 0.
+    """
     total, product = 0.0, 1.0
     # Eight at a time: one test for all, and they need not wait for each other.
-    whole = ranges.size // 8 * 8
-    for j in range(0, whole, 8):
+    k = ranges.size
+    whole = k // 8 * 8
+    for j in range(at, at + whole, 8):
         a = (density[j] * density[j + 1]) * (density[j + 2] * density[j + 3])
         b = (density[j + 4] * density[j + 5]) * (density[j + 6] * density[j + 7])
         # 0 if one of them is: they are at least SMALLEST_FACTOR, so that products of eight do not vanish.
         factor = a * b
         if not SMALL_PRODUCT < factor < LARGE_PRODUCT:
             for i in range(j, j + 8):
-                total += _log_of(density[i], ranges[i], expected[i], view)
+                total += _log_of(density[i], ranges[i - at], z_star[i], view)
             continue
         product *= factor
         if not SMALL_PRODUCT < product < LARGE_PRODUCT:
             total += math.log(product)
             product = 1.0
-    for j in range(whole, ranges.size):
+    for j in range(at + whole, at + k):
         p = density[j]
         if not SMALL_PRODUCT < p * product < LARGE_PRODUCT:
-            total += _log_of(p, ranges[j], expected[j], view)
+            total += _log_of(p, ranges[j - at], z_star[j], view)
         else:
             product *= p
     return total + math.log(product)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.kernels.elementary import split
-from beamfield.kernels.exact_rays import PARALLEL, Terrain, one_beam, trace_fan
+from beamfield.kernels.exact_rays import PARALLEL, Terrain, trace_fan
 from beamfield.kernels.jit import inlined_kernel, integer, kernel
 from beamfield.kernels.placed_poses import BLOCK, STRIDE, place
 
@@ -96,21 +96,25 @@ def cast_fan(
     ray = scratch.block.ray
     placed = np.zeros(4 * STRIDE)
     filled, done, n_free, doubts = NOTHING, NOTHING, BLOCK, NOTHING
-    for i in range(n):
-        p = i % BLOCK
-        if p == 0:
-            place(poses, frame, terrain.resolution, i, min(BLOCK, n - i), placed)
-        x, y, c, s = placed[p], placed[STRIDE + p], placed[2 * STRIDE + p], placed[3 * STRIDE + p]
-        first = NOTHING
-        while first < k:
-            count = min(k - first, BLOCK - filled)
-            _aim(ray, filled, count, x, y, c, s, fan, first, same_mount)
-            first += count
-            filled += count
-            if filled == BLOCK:
-                n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, BLOCK, done, ranges)
-                done += BLOCK
-                filled = 0
+    for start in range(0, n, BLOCK):
+        n_placed = min(BLOCK, n - start)
+        place(poses, frame, terrain.resolution, start, n_placed, placed)
+        if k == 1:
+            _aim_one(ray, n_placed, placed, fan)
+            n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, n_placed, start, ranges)
+            continue
+        for p in range(n_placed):
+            x, y, c, s = placed[p], placed[STRIDE + p], placed[2 * STRIDE + p], placed[3 * STRIDE + p]
+            first = NOTHING
+            while first < k:
+                count = min(k - first, BLOCK - filled)
+                _aim(ray, filled, count, x, y, c, s, fan, first, same_mount)
+                first += count
+                filled += count
+                if filled == BLOCK:
+                    n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, BLOCK, done, ranges)
+                    done += BLOCK
+                    filled = 0
     if filled > 0:
         n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, filled, done, ranges)
     doubts += _finish_pool(scratch, n_free, terrain, ranges)
@@ -118,27 +122,15 @@ def cast_fan(
         trace_fan(poses, frame, fan, terrain, ranges, np.empty((0, 2), np.int32), True)
 
 
-@kernel
-def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terrain, ranges: Floats) -> None:
-    """Cast single rays from origins (n, 3) in the map frame; the rest as for `cast_fan`, with k = 1."""
-    n = origins.shape[0]
-    scratch = _allocate()
-    ray = scratch.block.ray
-    placed = np.zeros(4 * STRIDE)
-    n_free, doubts = BLOCK, NOTHING
-    for done in range(0, n, BLOCK):
-        count = min(BLOCK, n - done)
-        place(origins, frame, terrain.resolution, done, count, placed)
-        # Lanes beyond count keep rays of the block before, or zeros: every lane walks, so each must hold real numbers.
-        for b in range(count):
-            ray[CELL_X + b], ray[OFFSET_X + b] = split(placed[b])
-            ray[CELL_Y + b], ray[OFFSET_Y + b] = split(placed[STRIDE + b])
-            ray[COS + b] = placed[2 * STRIDE + b]
-            ray[SIN + b] = placed[3 * STRIDE + b]
-        n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, count, done, ranges)
-    doubts += _finish_pool(scratch, n_free, terrain, ranges)
-    if doubts > 0:
-        trace_fan(origins, frame, one_beam(), terrain, ranges, np.empty((0, 2), np.int32), True)
+@inlined_kernel
+def _aim_one(ray: Floats, count: int, placed: Floats, fan: Floats) -> None:
+    """Fill start and direction of the one beam of `count` placed poses into the block: loops over poses vectorise."""
+    x, y, fan_c, fan_s = fan[0, 0], fan[1, 0], fan[2, 0], fan[3, 0]
+    for b in range(count):
+        c, s = placed[2 * STRIDE + b], placed[3 * STRIDE + b]
+        ray[COS + b], ray[SIN + b] = c * fan_c - s * fan_s, s * fan_c + c * fan_s
+        ray[CELL_X + b], ray[OFFSET_X + b] = split(placed[b] + (c * x - s * y))
+        ray[CELL_Y + b], ray[OFFSET_Y + b] = split(placed[STRIDE + b] + (s * x + c * y))
 
 
 @inlined_kernel

@@ -43,9 +43,7 @@ def compare_own_poses(log: SensorLog, fit: TrajectoryFit) -> Finding | None:
             f"{off[0]:.2f} m and {np.degrees(turned[0]):.0f} degrees, with the robot at ({x:.2f} m, {y:.2f} m)"
         )
         why = "The initial pose was wrong, the robot was lost before, or its poses are of another map's frame."
-        do = (
-            "Look at where the initial pose comes from. How the filter does from a right one, beamfield evaluate shows."
-        )
+        do = "Look at where the initial pose comes from. beamfield evaluate runs the filter from a right one."
     else:
         where = (
             f"The log's own poses leave the fitted ones {since:.1f} s after the first scan, with the robot at "

@@ -209,13 +209,13 @@ class RayCaster:
         rays = as_poses(origins, "origins")
         ranges: FloatArray = np.empty(rays.shape[:-1])
         rows, results = pose_rows(rays), ranges.reshape(-1)
-        frame, terrain = frame_of(self.grid), self._terrain(max_range)
+        frame, terrain, ahead = frame_of(self.grid), self._terrain(max_range), one_beam()
         if self.device == "cuda":
-            self._cast_on_device(rows, one_beam(), terrain, results)
+            self._cast_on_device(rows, ahead, terrain, results)
             return ranges
 
         def work(start: int, stop: int) -> None:
-            kernels.cast_rays(rows[start:stop], frame, terrain, results[start:stop])
+            kernels.cast_fan(rows[start:stop], frame, ahead, True, terrain, results[start:stop])
 
         run_in_blocks(work, len(rows))
         return ranges

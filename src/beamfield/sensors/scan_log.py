@@ -54,6 +54,9 @@ class ScanLog:
         What a user should know about how the file was read; one sentence each.
     parameters
         Parameters that the file itself carries (CARMEN's PARAM lines, for example).
+    frames
+        Names of all coordinate frames of the robot, if the file seems to have them: its transforms that hold at all
+        times, and others.
     """
 
     sensors: Mapping[str, SensorLog]
@@ -61,6 +64,7 @@ class ScanLog:
     source: str = ""
     notes: tuple[str, ...] = ()
     parameters: Mapping[str, str] = field(default_factory=dict)
+    frames: tuple[str, ...] = ()
 
     __repr__ = short_repr
 

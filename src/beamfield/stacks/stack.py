@@ -257,6 +257,9 @@ class Stack:
         files.
     is_typed
         Whether it declares each parameter's type and stops if the file has another: nodes of ROS 2 do.
+    is_roscpp
+        Whether ROS 1's C++ library reads its parameters: that rounds a number with a fraction where it wants a whole
+        one, and takes no number for a truth value.
     wrong_type, too_few_beams
         What it does with a value of a wrong type, and with too small a max_beams.
     other_node
@@ -310,6 +313,7 @@ class Stack:
     model_key: str = ""
     unknown_model: str = ""
     is_typed: bool = False
+    is_roscpp: bool = False
     wrong_type: str = "the program stops, or uses another value without a message"
     too_few_beams: str = "the model's formula is meaningless with it"
     other_node: OtherNode | None = None

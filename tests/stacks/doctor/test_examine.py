@@ -90,6 +90,15 @@ def reporting(value, fill):
     return replace(scans(fill), no_return=NoReturnPolicy((value,), origin="given"))
 
 
+FRAMES = "r1/odom", "r1/base_link", "r1/laser"
+
+
+def on(topic):
+    """Return scans of a topic."""
+    log = scans()
+    return replace(log, finder=replace(log.finder, name=topic))
+
+
 def some(value, share, other=3.0):
     """Return (k,) readings of which the first share has one value."""
     ranges = np.full(N_BEAMS, other)
@@ -112,6 +121,7 @@ WITHOUT = NODE.replace("$(arg z)", "0.05").replace(
     "",
 )
 ROBOT = {"stack": "ros1", "name": "amcl.launch"}
+AGAIN = WITHOUT.replace("  </node>", '    <param name="laser_z_hit" value="0.9"/>\n  </node>')
 
 
 RECORDED = with_record(
@@ -144,14 +154,35 @@ FINDINGS = {
     "updates-far-apart in angle": ({"update_min_a": 1.1}, {}, {"update_min_a": 1.0}, {}),
     "particles-reversed": ({"min_particles": 500, "max_particles": 100}, {},
                            {"min_particles": 100, "max_particles": 500}, {}),
+    "recovery-reversed": ({"recovery_alpha_slow": 0.1, "recovery_alpha_fast": 0.01}, {},
+                          {"recovery_alpha_slow": 0.001, "recovery_alpha_fast": 0.1}, {}),
+    "recovery-reversed where both are alike": ({"recovery_alpha_slow": 0.1, "recovery_alpha_fast": 0.1}, {},
+                                               {"recovery_alpha_slow": 0.0, "recovery_alpha_fast": 0.0}, {}),
+    "frame-not-in-log": ({"base_frame_id": "base_footprint"}, {"frames": FRAMES}, {"base_frame_id": "base_link"},
+                         {"frames": FRAMES}),
+    "frame-not-in-log of odometry": ({"odom_frame_id": "odom_combined"}, {"frames": FRAMES},
+                                     {"odom_frame_id": "<robot_namespace>/odom"}, {"frames": FRAMES}),
+    "frame-not-in-log of none": ({"base_frame_id": "base"}, {"frames": FRAMES}, {"base_frame_id": "base"}, {}),
+    "other-scan-topic": ({"scan_topic": "scan_filtered"}, {"log": on("/robot1/scan")}, {"scan_topic": "scan"},
+                         {"log": on("/robot1/scan")}),
+    "other-scan-topic of a text log": ({"scan_topic": "front"}, {"log": on("/scan")}, {"scan_topic": "front"},
+                                       {"log": on("FLASER")}),
+    "unknown-name": ({"robot_model_type": '"nav_amcl::DifferentialMotionModel"'}, {},
+                     {"robot_model_type": '"nav2_amcl::OmniMotionModel"'}, {}),
+    "given-again": ({"text": AGAIN, **ROBOT}, {}, {"text": AGAIN.replace('"0.9"', '"0.95"'), **ROBOT}, {}),
+    "given-again in YAML": ({"text": "z_hit: 0.4\nz_hit: 0.5\n"}, {}, {"text": "z_hit: 0.5\nz_hit: 0.5\n"}, {}),
     "old-motion-name": ({"robot_model_type": '"differential"'}, {},
                         {"robot_model_type": '"nav2_amcl::DifferentialMotionModel"'}, {}),
     "loaded-elsewhere": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
     "no-ros-parameters-key": ({"text": "amcl:\n  z_hit: 0.5\n"}, {}, {"z_hit": 0.5}, {}),
     "wrong-type of a list": ({"z_hit": "[0.5]"}, {}, {"z_hit": 0.5}, {}),
     "wrong-type of a switch": ({"do_beamskip": "maybe"}, {}, {"do_beamskip": "yes"}, {}),
+    "wrong-type of a switch in ROS 1": ({"stack": "ros1", "do_beamskip": 1}, {},
+                                        {"stack": "ros1", "do_beamskip": "true"}, {}),
     "wrong-type in YAML 1.1": ({"stack": "ros1", "laser_z_hit": "1e-1"}, {},
                                {"stack": "ros1", "laser_z_hit": "1.0e-1"}, {}),
+    "wrong-type in a launch file": ({"text": WITHOUT.replace("0.95", "95e-2"), **ROBOT}, {},
+                                    {"text": WITHOUT.replace("0.95", "9.5e-1"), **ROBOT}, {}),
     "wrong-type in YAML 1.1 only in ROS 1": ({"stack": "ros1", "laser_z_hit": "5e-1"}, {}, {"z_hit": "5e-1"}, {}),
     "out-of-range of size": ({"sigma_hit": "1.0e-300"}, {}, {"sigma_hit": "1.0e-2"}, {}),
     "out-of-range of beams": ({"max_beams": 1}, {}, {"max_beams": 2}, {}),
@@ -277,7 +308,7 @@ OTHERS = {
     "unused-parameters of F1TENTH": (f1tenth, {"range_method": "rm", "theta_discretization": 112}, {},
                                      {"range_method": "glt", "theta_discretization": 112}, {}),
     "out-of-range in MRPT": (mrpt, {"LF_stdHit": 0.0}, {}, {"LF_stdHit": 0.1}, {}),
-    "wrong-type in F1TENTH": (f1tenth, {"range_method": "sphere"}, {}, {"range_method": "cddt"}, {}),
+    "unknown-name in F1TENTH": (f1tenth, {"range_method": "sphere"}, {}, {"range_method": "cddt"}, {}),
     "misspelt-name in MRPT": (mrpt, {"LF_maxCorrDistance": 0.3}, {}, {"LF_maxCorrsDistance": 0.3}, {}),
     "distance-limit in MRPT": (mrpt, {}, {}, {"LF_maxCorrsDistance": 1.0}, {}),
     "no-random-readings in MRPT": (mrpt, {"LF_zRandom": 0.0}, {}, {"LF_zRandom": 0.05}, {}),
@@ -439,11 +470,17 @@ def test_parameters_of_beam_skipping_in_belugas_file_are_one_finding(tmp_path):
 
 def test_advice_on_names_fits_the_stacks(tmp_path):
     assert "call it z_hit (values mean the same" in texts(examine(amcl(tmp_path, laser_z_hit=0.5)), "foreign-name")
-    assert "call it z_hit if the value is meant for beluga" in texts(
+    assert "call it z_hit if meant for beluga; if meant for ros1: beamfield translate" in texts(
         examine(amcl(tmp_path, "beluga", laser_z_hit=0.5)), "foreign-name"
     )
     both = texts(examine(amcl(tmp_path, laser_z_hit=0.5, z_hit=0.5)), "foreign-name")
     assert "default" not in both
+    # As where a file for ROS 1 was put into one for nav2.
+    ported = examine(amcl(tmp_path, laser_z_hit=0.5, laser_z_rand=0.5, laser_sigma_hit=0.1, z_rand=0.5))
+    assert [item.name for item in ported].count("foreign-name") == 1
+    assert "uses defaults for z_hit, sigma_hit call them z_hit, z_rand, sigma_hit (values" in texts(
+        ported, "foreign-name"
+    )
 
 
 def test_belugas_node_for_ros_1_is_known_by_its_own_names(tmp_path):

@@ -119,6 +119,11 @@ class TransformBuffer:
         """Whether any transform holds at all times."""
         return any(edge.static for edge in self._edges.values())
 
+    def all_if_whole(self) -> tuple[str, ...]:
+        """Return the names of all frames; none if transforms at all times, or others, were not recorded."""
+        kinds = {bool(edge.static) for edge in self._edges.values()}
+        return tuple(self._neighbours) if len(kinds) == 2 else ()
+
     def connected(self, target: str, source: str) -> bool:
         """Whether a chain of transforms leads from one frame to the other."""
         return self._chain(target, source) is not None

@@ -133,7 +133,7 @@ def read_bag(
             odometry=driven,
             no_return=found.policy,
         )
-    return ScanLog(sensors, odometry.track, str(path), tuple(notes))
+    return ScanLog(sensors, odometry.track, str(path), tuple(notes), frames=content.frames.all_if_whole())
 
 
 def _scan_topics(bag: BagFile, asked: str | Sequence[str] | None) -> list[str]:

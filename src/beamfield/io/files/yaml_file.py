@@ -49,6 +49,8 @@ class YamlFile:
     spans
         (start, stop) of each value in the text, by its keys; of a list or map that is not in brackets, the stop lies
         anywhere behind its last value.
+    earlier
+        (line, value) of each place further up with the same keys; empty unless `read_yaml` allows that.
     """
 
     path: Path
@@ -56,6 +58,7 @@ class YamlFile:
     lines: Mapping[Place, int]
     source: str = ""
     spans: Mapping[Place, tuple[int, int]] = field(default_factory=dict)
+    earlier: Mapping[Place, tuple[tuple[int, Any], ...]] = field(default_factory=dict)
 
     def error(self, message: str, *place: str | int) -> FormatError:
         """Return the error that says what is wrong with the value at a place."""
@@ -104,7 +107,9 @@ class YamlFile:
         return value
 
 
-def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, number_keys: bool = False) -> YamlFile:
+def read_yaml(
+    path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, number_keys: bool = False, last_counts: bool = False
+) -> YamlFile:
     """Read a YAML file whose top level has keys.
 
     Parameters
@@ -115,6 +120,8 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, numbe
         Larger files are refused.
     number_keys
         Whether keys may be numbers and the like; they are taken as the text that stands there.
+    last_counts
+        Whether a key may be given again: the last value counts, and maps are merged. ROS's readers of parameters do so.
 
     Raises
     ------
@@ -150,15 +157,14 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, numbe
     if not isinstance(root, MappingNode):
         kind = "a list" if isinstance(root, SequenceNode) else f"the text {shorten(root.value)}"
         raise FormatError(source, f"expected keys with values, got {kind}", line=root.start_mark.line + 1)
-    lines: dict[Place, int] = {}
-    spans: Spans = {}
     if number_keys:
         _make_keys_text(root)
     with warnings.catch_warnings():
         # Files that declare YAML 1.1 need a point there; ours are read either way.
         warnings.simplefilter("ignore", MantissaNoDotYAML1_1Warning)
-        values = _construct(yaml, root, (), lines, spans, source)
-    return YamlFile(source, values, lines, text, spans)
+        built = _Values(yaml, source, last_counts)
+        values = built.construct(root, ())
+    return YamlFile(source, values, built.lines, text, built.spans, built.earlier)
 
 
 def shorten(value: object) -> str:
@@ -199,7 +205,9 @@ def _compose(yaml: YAML, text: str, path: Path) -> Node | None:
         if getattr(event, "anchor", None) is not None:
             mark = "*" if isinstance(event, AliasEvent) else "&"
             raise FormatError(
-                path, f"anchors and aliases are not supported, got {mark + str(event.anchor)!r}", line=line
+                path,
+                f"anchors and aliases are not supported, got {mark + str(event.anchor)!r}: write the values out",
+                line=line,
             )
         return event
 
@@ -220,35 +228,53 @@ def _make_keys_text(node: Node) -> None:
             _make_keys_text(item)
 
 
-def _construct(yaml: YAML, node: Node, place: Place, lines: dict[Place, int], spans: Spans, path: Path) -> Any:
-    lines[place] = node.start_mark.line + 1
-    spans[place] = node.start_mark.index, node.end_mark.index
-    if isinstance(node, MappingNode):
-        return _construct_mapping(yaml, node, place, lines, spans, path)
-    if isinstance(node, SequenceNode):
-        _check_tag(node, "seq", path)
-        return [_construct(yaml, item, (*place, i), lines, spans, path) for i, item in enumerate(node.value)]
-    if isinstance(node, ScalarNode):
-        return _construct_scalar(yaml, node, path)
-    raise _tag_error(node, path)
+class _Values:
+    """Makes plain values of nodes, and notes where they stand."""
+
+    def __init__(self, yaml: YAML, path: Path, last_counts: bool) -> None:
+        self.yaml, self.path, self.last_counts = yaml, path, last_counts
+        self.lines: dict[Place, int] = {}
+        self.spans: Spans = {}
+        self.earlier: dict[Place, tuple[tuple[int, Any], ...]] = {}
+
+    def construct(self, node: Node, place: Place) -> Any:
+        self.lines[place] = node.start_mark.line + 1
+        self.spans[place] = node.start_mark.index, node.end_mark.index
+        if isinstance(node, MappingNode):
+            return self.mapping(node, place)
+        if isinstance(node, SequenceNode):
+            _check_tag(node, "seq", self.path)
+            return [self.construct(item, (*place, i)) for i, item in enumerate(node.value)]
+        if isinstance(node, ScalarNode):
+            return _construct_scalar(self.yaml, node, self.path)
+        raise _tag_error(node, self.path)
+
+    def mapping(self, node: MappingNode, place: Place) -> dict[str, Any]:
+        _check_tag(node, "map", self.path)
+        values: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            line = key_node.start_mark.line + 1
+            key = _construct_scalar(self.yaml, key_node, self.path) if isinstance(key_node, ScalarNode) else None
+            if not isinstance(key, str):
+                found = shorten(key_node.value) if isinstance(key_node, ScalarNode) else "a list or map"
+                raise FormatError(self.path, f"expected text as a key, got {found}", line=line)
+            here = (*place, key)
+            if key in values and not self.last_counts:
+                raise FormatError(self.path, f"duplicate key {key!r}", line=line)
+            before = [(self.lines[here], values[key])] if key in values else []
+            if before:
+                self.earlier[here] = (*self.earlier.get(here, ()), *before)
+            value = self.construct(value_node, here)
+            values[key] = _merged(values.get(key), value)
+            self.lines[here] = line
+        return values
 
 
-def _construct_mapping(
-    yaml: YAML, node: MappingNode, place: Place, lines: dict[Place, int], spans: Spans, path: Path
-) -> Any:
-    _check_tag(node, "map", path)
-    values: dict[str, Any] = {}
-    for key_node, value_node in node.value:
-        line = key_node.start_mark.line + 1
-        key = _construct_scalar(yaml, key_node, path) if isinstance(key_node, ScalarNode) else None
-        if not isinstance(key, str):
-            found = shorten(key_node.value) if isinstance(key_node, ScalarNode) else "a list or map"
-            raise FormatError(path, f"expected text as a key, got {found}", line=line)
-        if key in values:
-            raise FormatError(path, f"duplicate key {key!r}", line=line)
-        values[key] = _construct(yaml, value_node, (*place, key), lines, spans, path)
-        lines[(*place, key)] = line
-    return values
+def _merged(before: Any, value: Any) -> Any:
+    """Return a value that is given again; of maps, all keys of both."""
+    if not isinstance(before, dict) or not isinstance(value, dict):
+        return value
+    return before | {key: _merged(before.get(key), item) for key, item in value.items()}
 
 
 def _construct_scalar(yaml: YAML, node: ScalarNode, path: Path) -> Any:

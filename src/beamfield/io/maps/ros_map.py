@@ -197,7 +197,10 @@ def _image_path(yaml: YamlFile) -> Path:
         image = image.expanduser()
     image = yaml.path.parent / image
     if not image.exists():
-        raise yaml.error(f"the picture {str(image)!r} does not exist", "image")
+        # ROS 1's map_saver writes the folder where the map was saved, which other computers do not have.
+        is_beside = (yaml.path.parent / image.name).is_file()
+        hint = f", but {image.name!r} lies beside the file: write that" if is_beside else ""
+        raise yaml.error(f"the picture {str(image)!r} does not exist{hint}", "image")
     if not image.is_file():
         raise yaml.error(f"the picture {str(image)!r} is not a regular file", "image")
     return image

@@ -9,6 +9,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor import (
     beam_checks,
+    log_checks,
     map_checks,
     motion_checks,
     range_checks,
@@ -24,6 +25,9 @@ from beamfield.stacks.files.typed_values import typed_values
 CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     value_checks.unusable_values,
     value_checks.missing_ros_key,
+    value_checks.given_again,
+    log_checks.unknown_frames,
+    log_checks.other_topic,
     map_checks.no_obstacles,
     map_checks.disagreement,
     map_checks.ignored_yaw,
@@ -55,7 +59,12 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
 
 
 def examine(
-    file: StackFile, *, grid: OccupancyGrid | None = None, map_file: MapFile | None = None, log: SensorLog | None = None
+    file: StackFile,
+    *,
+    grid: OccupancyGrid | None = None,
+    map_file: MapFile | None = None,
+    log: SensorLog | None = None,
+    frames: tuple[str, ...] = (),
 ) -> tuple[Finding, ...]:
     """Return everything that is wrong with a parameter file, or worth knowing, worst first.
 
@@ -67,8 +76,10 @@ def examine(
         The map that the robot uses and what its file says; None leaves out what needs it.
     log
         Scans of the robot; None leaves out what needs them.
+    frames
+        All coordinate frames of the robot (`ScanLog.frames`); () leaves out what needs them.
     """
-    subject = Subject(file, typed_values(file), grid, map_file, log)
+    subject = Subject(file, typed_values(file), grid, map_file, log, frames)
     found = [item for check in (*CHECKS, *subject.stack.checks) for item in check(subject)]
     if is_calibrated(subject):
         found = [item for item in found if item.name not in SETTLED]

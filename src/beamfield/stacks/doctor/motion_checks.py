@@ -85,7 +85,7 @@ def no_motion_noise(subject: Subject) -> Iterator[Finding]:
 
 
 def updates_and_particles(subject: Subject) -> Iterator[Finding]:
-    """Find updates that are far apart, and fewer particles at most than at least."""
+    """Find updates that are far apart, fewer particles at most than at least, and averages of weights reversed."""
     settings = _settings(subject)
     if settings is None:
         return
@@ -109,6 +109,17 @@ def updates_and_particles(subject: Subject) -> Iterator[Finding]:
             "the number of particles is then not what either says",
             "set max_particles to no less than min_particles", own=own,
             values={"min_particles": float(least), "max_particles": float(most_)},
+        )  # fmt: skip
+    slow, fast = (getattr(settings.particles, f"recovery_alpha_{name}", 0.0) for name in ("slow", "fast"))
+    if slow > 0.0 and slow >= fast:
+        # Of random poses there is a share of 1 - fast / slow, by the averages that these rates make.
+        when = "when the weights have just risen" if slow > fast else "never"
+        own = subject.file.name_in_file("recovery_alpha_slow")
+        yield subject.finding(
+            "recovery-reversed", "warning", f"{own} is {slow:g}, recovery_alpha_fast is {fast:g}",
+            f"random poses, which find a lost robot again, are mixed in {when}, not when the weights fall",
+            "set the slow rate to a hundredth of the fast one, 0.001 and 0.1 for example, or both to 0 for no recovery",
+            own=own, values={"recovery_alpha_slow": slow, "recovery_alpha_fast": fast},
         )  # fmt: skip
 
 

@@ -54,6 +54,8 @@ class Subject:
         The map and what its file says; None without.
     log
         The scans, with reference poses if it has them; None without.
+    frames
+        The robot's coordinate frames, as `ScanLog` has them.
     """
 
     file: StackFile
@@ -61,6 +63,7 @@ class Subject:
     grid: OccupancyGrid | None = None
     map_file: MapFile | None = None
     log: SensorLog | None = None
+    frames: tuple[str, ...] = ()
 
     @property
     def stack(self) -> Stack:

@@ -52,12 +52,34 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
             )  # fmt: skip
         elif fault == "model":
             yield _unknown_model(subject, value)
+        elif fault == "name":
+            yield subject.finding(
+                "unknown-name", "error", f"{name}: {message}",
+                "the node does not start, unless a plugin of yours has that name" if subject.file.is_typed
+                else subject.stack.wrong_type,
+                "write one of these names", own=name,
+            )  # fmt: skip
         else:
             yield subject.finding(
                 "wrong-type", "error", f"{name}: {message}",
                 "ROS 2 refuses the value: the node does not start" if subject.file.is_typed
                 else subject.stack.wrong_type,
                 "write a value of the right type", own=name,
+            )  # fmt: skip
+
+
+def given_again(subject: Subject) -> Iterator[Finding]:
+    """Find parameters that the file gives several times with different values, of which one counts."""
+    own = {subject.file.name_in_file(name) for name in subject.stack.parameter_names}
+    for entry in subject.file.section.entries.values():
+        others = [(line, value) for line, value in entry.others if value != entry.value]
+        if others:
+            given = ", ".join(f"{value} in line {line}" for line, value in others)
+            yield subject.finding(
+                "given-again", "warning" if entry.name in own else "info",
+                f"{entry.name} is {given}, and {entry.filled_in or entry.value} here",
+                "only this one counts, without a message: changes to the others have no effect",
+                "keep one", own=entry.name,
             )  # fmt: skip
 
 
@@ -94,12 +116,13 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
     ]
     owners = {name: stack.name for stack in reversed(STACKS.values()) for name in stack.parameter_names}
     foreign = {name: owners[name] for name in strange if name in owners}
-    for name in foreign:
-        if other := counterpart(name, own):
-            yield _foreign(subject, [name], foreign[name], other, other in entries)
-    rest = [name for name in foreign if not counterpart(name, own)]
-    for stack in dict.fromkeys(foreign[name] for name in rest):
-        yield _foreign(subject, [name for name in rest if foreign[name] == stack], stack, "", False)
+    for stack in dict.fromkeys(foreign.values()):
+        names = [name for name, owner in foreign.items() if owner == stack]
+        named = [name for name in names if counterpart(name, own)]
+        if named:
+            yield _foreign(subject, named, stack, [counterpart(name, own) for name in named])
+        if rest := [name for name in names if name not in named]:
+            yield _foreign(subject, rest, stack, [])
     for name in strange:
         near = [one for one in own if sorted(one) == sorted(name)]  # two letters swapped
         near = near or difflib.get_close_matches(name, own, n=1, cutoff=SIMILAR)
@@ -159,22 +182,27 @@ def _not_finite(subject: Subject, name: str, value: float) -> Finding:
     )  # fmt: skip
 
 
-def _foreign(subject: Subject, names: list[str], stack: str, other: str, has_other: bool) -> Finding:
+def _foreign(subject: Subject, names: list[str], stack: str, others: list[str]) -> Finding:
+    """Return the finding of names of another stack, and of what they are called here, if they have such names."""
     are = "is a parameter" if len(names) == 1 else "are parameters"
-    instead = f" and uses its default for {other}" if other and not has_other else ""
+    missing = [other for other in others if other not in subject.file.section.entries]
+    instead = (
+        f" and uses {'its default' if len(missing) == 1 else 'defaults'} for {', '.join(missing)}" if missing else ""
+    )
     # What is switched off there does nothing here either.
     is_off = set(names) <= set(BEAM_SKIPPING) and not subject.file.section.entries.get("do_beamskip", _OFF).value
     return subject.finding(
         "foreign-name", "info" if is_off else "warning",
         f"{', '.join(names)} {are} of {stack}, not of {subject.file.stack}",
         f"{subject.file.stack} silently ignores {'it' if len(names) == 1 else 'them'}{instead}",
-        _rename(subject.stack, STACKS[stack], other), own=names[0],
+        _rename(subject.stack, STACKS[stack], others), own=names[0],
     )  # fmt: skip
 
 
-def _rename(stack: Stack, other: Stack, name: str) -> str:
-    if name and stack.has_same_formulas(other):
-        return f"call it {name} (values mean the same in {other.name} and {stack.name})"
-    if name:
-        return f"call it {name} if the value is meant for {stack.name}; if it is {other.name}'s: beamfield translate"
+def _rename(stack: Stack, other: Stack, names: list[str]) -> str:
+    call = f"call {'it' if len(names) == 1 else 'them'} {', '.join(names)}"
+    if names and stack.has_same_formulas(other):
+        return f"{call} (values mean the same in {other.name} and {stack.name})"
+    if names:
+        return f"{call} if meant for {stack.name}; if meant for {other.name}: beamfield translate"
     return "leave it out; if the values are from there, beamfield translate gives those for this stack"

@@ -40,7 +40,9 @@ def expected_files() -> str:
 
 def is_beam_model(path: str | Path) -> bool:
     """Whether a file is beamfield's own beam_model.yaml, by its top-level key; FormatError if a .yaml is no YAML."""
-    return Path(path).suffix.lower() in _YAML and "beam_model" in read_yaml(path, number_keys=True).values
+    return Path(path).suffix.lower() in _YAML and "beam_model" in (
+        read_yaml(path, number_keys=True, last_counts=True).values
+    )
 
 
 def read_parameter_yaml(path: Path) -> YamlFile:
@@ -48,7 +50,7 @@ def read_parameter_yaml(path: Path) -> YamlFile:
     if path.suffix.lower() == ".json":
         raise FormatError(path, f"this is JSON, in which beamfield writes results, not parameters; {expected_files()}")
     try:
-        file = read_yaml(path, number_keys=True)
+        file = read_yaml(path, number_keys=True, last_counts=True)
     except FormatError:
         kind = _kind_of_text(path)
         if kind:

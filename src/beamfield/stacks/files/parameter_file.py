@@ -20,7 +20,7 @@ from beamfield.stacks.registry import STACKS, stack_named
 from beamfield.stacks.stack import Model, OtherNode, Stack
 from beamfield.stacks.syntax.ini_sections import ini_sections
 from beamfield.stacks.syntax.launch_sections import launch_sections
-from beamfield.stacks.syntax.parameter_text import ParameterSection, Signs, Value
+from beamfield.stacks.syntax.parameter_text import ODD_BYTES, ParameterSection, Signs, Value
 from beamfield.stacks.syntax.yaml_sections import yaml_sections
 
 
@@ -68,6 +68,11 @@ class StackFile:
     def is_typed(self) -> bool:
         """Whether the program declares each parameter's type and stops if the file has another."""
         return self.program.is_typed and not self.is_of_other_node
+
+    @property
+    def is_roscpp(self) -> bool:
+        """Whether ROS 1's C++ library reads the program's parameters."""
+        return self.program.is_roscpp or self.is_of_other_node
 
     @property
     def of_filter(self) -> StackFile:
@@ -170,7 +175,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
     _refuse_read_only(path)
     before = path.read_bytes()
     mark = b"\xef\xbb\xbf" if before.startswith(b"\xef\xbb\xbf") and not section.text.startswith("\ufeff") else b""
-    if before != mark + section.text.encode():
+    if before != mark + section.text.encode("utf-8", ODD_BYTES):
         raise FormatError(path, "the file has changed since it was read")
     after = section.with_values(values)
     if record:
@@ -179,7 +184,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
     with atomic_files([backup, path]) as (old, part):
         old.write_bytes(before)
         shutil.copymode(path, old)
-        part.write_bytes(mark + after.encode())
+        part.write_bytes(mark + after.encode("utf-8", ODD_BYTES))
         if not _reads_as(part, section, values):
             raise FormatError(
                 path, "the new values cannot be written without changing other parts; the file is unchanged"
@@ -267,6 +272,7 @@ def _reads_as(path: Path, section: ParameterSection, values: Mapping[str, Value]
         len(found) == 1
         and found[0].entries.keys() == expected.keys()
         and all(_same(found[0].entries[name].value, value) for name, value in expected.items())
+        and all(len(found[0].entries[name].others) == len(old.others) for name, old in section.entries.items())
     )
 
 

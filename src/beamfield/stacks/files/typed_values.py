@@ -18,10 +18,10 @@ _TRUE, _FALSE = ("yes", "on", "y", "true"), ("no", "off", "n", "false")
 # What YAML 1.1 reads as a number with an exponent.
 _EXPONENT_1_1 = re.compile(r"[-+]?(\d[\d_]*\.[\d_]*|\.\d[\d_]*)[eE][-+]\d+")
 # What is wrong with a value: known only when the robot starts; an integer where ROS 2 wants a double; of another type;
-# NaN or infinite; outside its range; no model of the stack.
-Fault = Literal["filled-in", "integer", "type", "not-finite", "range", "model"]
+# NaN or infinite; outside its range; a name that the program does not know; no measurement model of it.
+Fault = Literal["filled-in", "integer", "type", "not-finite", "range", "name", "model"]
 MOST = 2**63 - 1
-# No distance, weight or rate of a robot is smaller; squares and cubes of it still are numbers.
+# Smaller ones are taken as 0, which they mean; squares and cubes of this still are numbers.
 LEAST = 1e-12
 
 
@@ -110,11 +110,24 @@ def _read(file: StackFile, entry: Entry, item: Field[Any]) -> tuple[Any, tuple[F
     if entry.filled_in and entry.value is None:
         return None, ("filled-in", f"is substituted at launch: {entry.filled_in!r}")
     text = _plain_text(file, entry)
-    by_ros_1 = file.section.syntax == "yaml" and not file.section.is_ros_2
-    if by_ros_1 and isinstance(entry.value, float) and "e" in text.lower() and not _EXPONENT_1_1.fullmatch(text):
+    if isinstance(entry.value, float) and _is_text_to_ros_1(file, entry, text):
         message = "expected a number as ROS 1 reads it (1.0e-3: with a point and a signed exponent), got the text"
         return entry.value, ("type", f"{message} {text!r}")
+    value = entry.value
+    if isinstance(item.default, int) and isinstance(value, float) and file.is_roscpp and math.isfinite(value):
+        return math.floor(value + 0.5), None
+    if isinstance(item.default, bool) and not isinstance(value, (bool, str)) and file.is_roscpp:
+        return value, ("type", f"expected true or false, got {shorten(value)}")
     return _convert(entry, text, item, strict=file.is_typed)
+
+
+def _is_text_to_ros_1(file: StackFile, entry: Entry, number: str) -> bool:
+    """Whether ROS 1 takes a number with an exponent for text: rosparam without a sign, both without a point."""
+    if entry.filled_in or "e" not in number.lower():
+        return False
+    if file.section.syntax == "launch":
+        return not file.is_typed and "." not in number
+    return file.section.syntax == "yaml" and not file.section.is_ros_2 and not _EXPONENT_1_1.fullmatch(number)
 
 
 def _plain_text(file: StackFile, entry: Entry) -> str:
@@ -141,8 +154,8 @@ def _convert(entry: Entry, text: str, item: Field[Any], *, strict: bool) -> tupl
         return value, ("range", f"expected a number that fits into 64 bits, got {shorten(value)}")
     if not math.isfinite(value):
         return value, ("not-finite", f"expected a finite number, got {value!r}")
-    if value and not LEAST <= abs(value) <= 1.0 / LEAST and not isinstance(default, int):
-        return value, ("range", f"expected 0 or a number between {LEAST:g} and {1.0 / LEAST:g}, got {value!r}")
+    if abs(value) > 1.0 / LEAST and not isinstance(default, int):
+        return value, ("range", f"expected a number of at most {1.0 / LEAST:g}, got {value!r}")
     if isinstance(default, int):
         if isinstance(value, int):
             return value, None
@@ -152,7 +165,7 @@ def _convert(entry: Entry, text: str, item: Field[Any], *, strict: bool) -> tupl
     if strict and isinstance(value, int):
         message = f"expected a number with a point ({value}.0): ROS 2 declares it as double, got the integer {value}"
         return float(value), ("integer", message)
-    return float(value), None
+    return (float(value) if abs(value) >= LEAST else 0.0), None
 
 
 def _refusal(
@@ -162,6 +175,6 @@ def _refusal(
     try:
         kind(**{**usable, name: value})
     except (InvalidInputError, FormatError) as error:
-        fault: Fault = "model" if is_model else "type" if isinstance(value, str) else "range"
+        fault: Fault = "model" if is_model else "name" if isinstance(value, str) else "range"
         return fault, str(error).removeprefix(f"{name}: ")
     return None

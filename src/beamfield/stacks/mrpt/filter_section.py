@@ -45,7 +45,7 @@ def filter_section(sensor: ParameterSection) -> ParameterSection:
         found = {section.label: section.entries for section in ini_sections(sensor.path, NAMES)}
         return replace(sensor, entries=_converted(found, INI_SECTIONS, _FROM_INI))
     root = sensor.label.rpartition(".")[0]
-    sections = yaml_sections(read_yaml(sensor.path, number_keys=True), Signs(NAMES, (), ()))
+    sections = yaml_sections(read_yaml(sensor.path, number_keys=True, last_counts=True), Signs(NAMES, (), ()))
     beside = [section for section in sections if section.label.startswith(root)]
     found = {section.label.removeprefix(root).removeprefix("."): section.entries for section in beside}
     entries = _converted(found, YAML_SECTIONS, {})

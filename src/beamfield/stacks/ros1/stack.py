@@ -40,6 +40,7 @@ ROS1 = amcl_stack(
     layout=("amcl:",),
     in_launch_files=True,
     unknown_model="amcl runs likelihood_field instead; it only logs a warning",
+    is_roscpp=True,
     wrong_type="amcl uses its default without a message",
     filter=StackFilter(motion=Ros1Motion, parameters=Ros1FilterParameters, build=ros1_filter),
     flatter="fewer beams or a wider laser_sigma_hit",

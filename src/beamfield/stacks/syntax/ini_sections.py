@@ -11,7 +11,7 @@ from beamfield.errors import FormatError
 from beamfield.io.files.text_lines import read_at_most
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.syntax.line_ends import end_of_line, line_break, lines_with_places
-from beamfield.stacks.syntax.parameter_text import Entry, ParameterSection, decoded, plain_value
+from beamfield.stacks.syntax.parameter_text import ODD_BYTES, Entry, ParameterSection, plain_value
 
 MAX_BYTES = 2_000_000
 _NAME = re.compile(r"[A-Za-z_][\w.]*")
@@ -21,11 +21,12 @@ _COMMENTS = ("//", ";", "#")
 def ini_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
     """Return the sections with at least one known parameter, in the order of the file.
 
-    It holds ``[section]``, ``name = value``, and comments behind ``//``, ``;`` or ``#``. FormatError if it is too large
-    or not UTF-8, or in a section that counts a name appears twice or a line is neither section, pair, comment nor
-    empty.
+    It holds ``[section]``, ``name = value``, and comments behind ``//``, ``;`` or ``#``. FormatError if it is too
+    large, or in a section that counts a name appears twice or a line is neither section, pair, comment nor empty.
     """
-    text = decoded(path, read_at_most(path, MAX_BYTES, "an ini file")).removeprefix("\ufeff")
+    # MRPT's own examples have a name in Latin-1 in a comment; such bytes come back as they were.
+    content = read_at_most(path, MAX_BYTES, "an ini file")
+    text = content.decode("utf-8", ODD_BYTES).removeprefix("\ufeff")
     sections = _parse(text)
     chosen = [section for section in sections if not known.isdisjoint(section.entries)]
     # Other sections of the file are other programs' business, unless there is nothing else to say.

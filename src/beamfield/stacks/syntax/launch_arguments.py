@@ -39,6 +39,10 @@ class LaunchArguments:
         filled = _OPTIONAL.sub(lambda found: found.group(1).strip(), filled)
         return None if _MARK in filled or len(filled) > _MAX_LENGTH else filled
 
+    def is_known(self, attributes: Mapping[str, str]) -> bool:
+        """Whether it is known before the start what a tag's ``if`` and ``unless`` say."""
+        return all(self.fill_in(attributes.get(name, "")) is not None for name in ("if", "unless"))
+
     def is_there(self, attributes: Mapping[str, str]) -> bool:
         """Whether a tag's ``if`` and ``unless`` let it be there; what is not known does."""
         for name, wanted in (("if", True), ("unless", False)):

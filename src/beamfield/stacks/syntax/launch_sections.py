@@ -20,6 +20,8 @@ from beamfield.stacks.syntax.rosparam_text import rosparam_values
 MAX_BYTES = 2_000_000
 # How a node's program may be called: what ROS 1 calls type, ROS 2 exec.
 _ENDINGS = ("", "_node", ".py")
+# What stands in the names of launch files with such a node.
+_LIKELY = ("amcl", "locali")
 _TAG = re.compile(r"<[^\s/>]+")
 _ATTRIBUTE = re.compile(r"""\s+([^\s=<>"']+)\s*=\s*("[^"]*"|'[^']*')""")
 
@@ -29,16 +31,27 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
 
     ``$(arg z_hit)`` is filled in with its default if the file has one; a value that nobody knows before the start is
     None. The text of ``<rosparam>`` counts like tags. Nodes and parameters whose ``if`` or ``unless`` takes them out by
-    default are left out. A node with a parameter of the signs counts whatever its type is called.
+    default are left out. A node with a parameter of the signs counts whatever its type is called. Of a parameter that
+    is given several times the last counts, a tag more than text, as for roslaunch: amcl's own example gives two of them
+    twice.
 
     FormatError if the file is too large, no UTF-8, no XML, or declares entities (which can expand without bound); if a
-    node has a parameter twice, text of ``<rosparam>`` that is not understood, or all its parameters in another file.
+    node has text of ``<rosparam>`` that is not understood, or all its parameters in another file, or if there is no
+    such node but an included file may have it.
     """
     content = read_at_most(path, MAX_BYTES, "a launch file").removeprefix(b"\xef\xbb\xbf")
     text = decoded(path, content)
-    nodes = _Parser(path, signs).nodes(content)
+    parser = _Parser(path, signs)
+    nodes = parser.nodes(content)
     chosen = [node for node in nodes if not signs.names.isdisjoint(node.params)]
     chosen = chosen or [node for node in nodes if node.localises]
+    if not chosen and parser.included:
+        likely = [name for name in parser.included if any(word in name.rsplit("/", 1)[-1] for word in _LIKELY)]
+        files = ", ".join(list(dict.fromkeys(map(repr, likely or parser.included)))[:5])
+        raise FormatError(
+            path,
+            f"no node with parameters of a measurement model, give the one of the included files that has it: {files}",
+        )
     for node in nodes:
         if node.fault is not None and (node.localises or node in chosen):
             raise node.fault
@@ -53,9 +66,11 @@ class _Param(NamedTuple):
     line: int
     # Byte offset of its tag, or of the text that it stands in.
     offset: int
-    conditional: bool
+    # Whether it depends on a condition that is known only at the start whether it is there.
+    is_unsure: bool
     # Where its value begins and ends in that text, in characters; None for that of a tag.
     span: tuple[int, int] | None = None
+    others: tuple[tuple[int, Value | None], ...] = ()
 
 
 @dataclass
@@ -84,6 +99,9 @@ class _Parser:
         # Of an open <rosparam> with text: its attributes, and where the text begins.
         self.rosparam: dict[str, str] | None = None
         self.text_begins: tuple[int, int] | None = None
+        # Whether within <include>, whose arguments are the other file's.
+        self.including = False
+        self.included: list[str] = []
 
     def nodes(self, content: bytes) -> list[_Node]:
         self.content = content
@@ -102,10 +120,15 @@ class _Parser:
     def begin(self, tag: str, attributes: dict[str, str]) -> None:
         there, namespace, node = self.open[-1] if self.open else (True, "", None)
         there = there and self.arguments.is_there(attributes)
+        self.including = self.including or tag == "include"
         if tag in ("group", "node"):
-            namespace = "/".join(part for part in (namespace, attributes.get("ns", "").strip("/")) if part)
-        if there and tag == "arg":
+            given = attributes.get("ns", "")
+            given = self.arguments.fill_in(given) or given
+            namespace = "/".join(part for part in (namespace, given.strip("/")) if part)
+        if there and tag == "arg" and not self.including:
             self.arguments.declare(attributes)
+        elif there and tag == "include":
+            self.included.append(attributes.get("file", ""))
         elif there and tag == "node":
             node = self.new_node(namespace, attributes)
         elif there and node is not None:
@@ -114,6 +137,7 @@ class _Parser:
 
     def finish(self, tag: str) -> None:
         there, _, node = self.open.pop()
+        self.including = self.including and tag != "include"
         if tag == "node" and there and node is not None:
             node.end = self.expat.CurrentByteIndex
         if tag == "rosparam" and node is not None and self.rosparam is not None and self.text_begins is not None:
@@ -129,13 +153,13 @@ class _Parser:
 
     def rosparam_text(self, node: _Node, attributes: dict[str, str], begin: int, line: int) -> None:
         text = self.content[begin : self.expat.CurrentByteIndex].decode()
-        conditional = "if" in attributes or "unless" in attributes
+        is_unsure = not self.arguments.is_known(attributes)
         for name, written, at, start in rosparam_values(self.path, text, line):
             quoted = written[:1] in ("'", '"')
             filled = self.arguments.fill_in(written) if attributes.get("subst_value", "").lower() == "true" else written
             value = written[1:-1] if quoted else None if filled is None else plain_value(filled)
             filled_in = written if filled != written else ""
-            self.add(node, name, _Param(value, filled_in, at, begin, conditional, (start, start + len(written))))
+            self.add(node, name, _Param(value, filled_in, at, begin, is_unsure, (start, start + len(written))))
 
     def refuse(self, name: str, *_: object) -> None:
         line = self.expat.CurrentLineNumber
@@ -164,23 +188,31 @@ class _Parser:
             node.elsewhere.append((line, "the text of <rosparam>" if source is None else source))
         elif tag == "param" and "value" in attributes:
             name = (self.arguments.fill_in(attributes.get("name", "")) or "").removeprefix("~")
-            conditional = "if" in attributes or "unless" in attributes
+            is_unsure = not self.arguments.is_known(attributes)
             written = attributes["value"]
             filled = self.arguments.fill_in(written)
             value, filled_in = None if filled is None else plain_value(filled), written if filled != written else ""
-            self.add(node, name, _Param(value, filled_in, line, self.expat.CurrentByteIndex, conditional))
+            self.add(node, name, _Param(value, filled_in, line, self.expat.CurrentByteIndex, is_unsure))
 
     def add(self, node: _Node, name: str, param: _Param) -> None:
-        known = node.params.setdefault(name, param)
-        if known is not param and not (param.conditional or known.conditional):
-            raise FormatError(self.path, "duplicate parameter", line=param.line, field=name)
+        known = node.params.get(name)
+        if known is None or known.is_unsure:
+            node.params[name] = param
+        elif not param.is_unsure:
+            # roslaunch sets what stands in tags when it has set all texts.
+            is_tag_before_text = known.span is None and param.span is not None
+            kept, other = (known, param) if is_tag_before_text else (param, known)
+            node.params[name] = kept._replace(others=(*known.others, (other.line, other.value)))
 
 
 def _section(path: Path, text: str, node: _Node, known: Set[str], places: dict[int, int]) -> ParameterSection:
     if node.elsewhere and known.isdisjoint(node.params):
-        line, source = node.elsewhere[0]
-        raise FormatError(path, f"the parameters of the node {node.label!r} are not in this file but in {source!r}",
-                          line=line)  # fmt: skip
+        line = node.elsewhere[0][0]
+        sources = " and ".join(repr(source) for _, source in node.elsewhere)
+        raise FormatError(
+            path, f"the parameters of the node {node.label!r} are not in this file but in {sources}: give that file",
+            line=line,
+        )  # fmt: skip
     entries = {}
     for name, param in node.params.items():
         at = places[param.offset]
@@ -189,7 +221,7 @@ def _section(path: Path, text: str, node: _Node, known: Set[str], places: dict[i
             if param.span is None
             else (at + param.span[0], at + param.span[1])
         )
-        entries[name] = Entry(name, param.value, param.line, start, stop, param.filled_in)
+        entries[name] = Entry(name, param.value, param.line, start, stop, param.filled_in, param.others)
     end = places[node.end]
     insert_at: int | None = None
     before = line_break(text)

@@ -10,6 +10,8 @@ from typing import Literal, NamedTuple
 
 from beamfield.errors import FormatError, InvalidInputError
 
+# How bytes that are no UTF-8 are kept, where a file may have them (Python's name for it).
+ODD_BYTES = "surrogateescape"
 # ROS 2 puts a node's parameters under this key.
 ROS_2_KEY = "ros__parameters"
 
@@ -49,6 +51,8 @@ class Entry:
         Where the value stands in the text; what lies between is replaced when the value changes.
     filled_in
         What stands in the file instead of the value, such as ``$(arg z_hit)``; "" if it is the value itself.
+    others
+        (line, value) of each other place that gives the same parameter; they do not count.
     """
 
     name: str
@@ -57,6 +61,7 @@ class Entry:
     start: int
     stop: int
     filled_in: str = ""
+    others: tuple[tuple[int, Value | None], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +112,12 @@ class ParameterSection:
     def count(self, names: Iterable[str]) -> int:
         """Return how many of these parameters the section has."""
         return sum(name in self.entries for name in names)
+
+    def arguments_replaced_by(self, values: Iterable[str]) -> str:
+        """Return what to say where parameters that a launch argument or the like gives get values; "" for none."""
+        replaced = dict.fromkeys(self.entries[name].filled_in for name in values if name in self.entries)
+        given = ", ".join(text for text in replaced if text)
+        return f"replaced {given} by values, which arguments at launch no longer change" if given else ""
 
     def error(self, name: str, message: str) -> FormatError:
         """Return the error of one parameter."""

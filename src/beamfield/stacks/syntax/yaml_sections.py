@@ -24,8 +24,8 @@ def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
     A node's section holds those that the file gives to all nodes, too. Nodes count whatever they are called before and
     behind the signs. The file is read with `number_keys`.
 
-    FormatError if a key without value is written in a way that is not found, or it depends on the release of ROS which
-    of two values a node gets.
+    FormatError if a key without value is written in a way that is not found, or it depends on the release of ROS, or on
+    how the file is loaded, which of two values a node gets.
     """
     maps = [(place, values) for place, values in _maps(file.values, ()) if place or values]
     chosen = [item for item in maps if not signs.names.isdisjoint(_scalars(item[1]))]
@@ -70,6 +70,7 @@ def _is_node(place: Place, nodes: tuple[str, ...]) -> bool:
 
 
 def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[str]) -> ParameterSection:
+    _refuse_repeated(file, place)
     entries = {}
     for name, value in values.items():
         is_scalar = not isinstance(value, (dict, list))
@@ -81,12 +82,23 @@ def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[st
             # The parser finds a missing value at the next key; it belongs behind this one's colon.
             start = stop = _behind_colon(file, line, name)
         if isinstance(value, str) and SUBSTITUTION in value:
-            entries[name] = Entry(name, None, line, start, stop, filled_in=value)
+            entry = Entry(name, None, line, start, stop, filled_in=value)
         else:
-            entries[name] = Entry(name, value if is_scalar else shorten(value), line, start, stop)
+            entry = Entry(name, value if is_scalar else shorten(value), line, start, stop)
+        entries[name] = replace(entry, others=file.earlier.get((*place, name), ()))
     label = ".".join(str(key) for key in place)
     at, before, after = _insertion(file, place, entries)
     return ParameterSection(file.path, "yaml", label, file.lines[place], file.source, entries, at, before, after)
+
+
+def _refuse_repeated(file: YamlFile, place: Place) -> None:
+    """Refuse a section that stands in the file twice: some readers merge the two, others only take the last."""
+    for depth in range(1, len(place) + 1):
+        for line, _ in file.earlier.get(place[:depth], ()):
+            message = f"duplicate key {place[depth - 1]!r}, as in line {line}: depending on how the file is loaded"
+            raise FormatError(
+                file.path, f"{message}, ROS merges both or drops the first; keep one", line=file.lines[place[:depth]]
+            )
 
 
 def _behind_colon(file: YamlFile, line: int, name: str) -> int:

@@ -117,7 +117,7 @@ def _posed(
     except (FormatError, TooLittleDataError) as error:
         return log, (), (f"{error}; tests at the scans' poses are left out",)
     infos = [finding.full_text for finding in found if finding.severity == "info"]
-    if any(one.name == "map-disagrees" for one in found):
+    if not are_given and any(one.name == "map-disagrees" for one in found):
         log = log.with_poses(np.full((len(log), 3), np.nan))
         infos.append("most readings disagree with the map at the log's poses; tests at them are left out")
     return log, tuple(finding for finding in found if finding.severity != "info"), tuple(infos)

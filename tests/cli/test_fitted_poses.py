@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.cli.fitted_poses import posed_log
+from beamfield.cli.fitted_poses import instead_of_own, posed_log
 from beamfield.cli.main import main
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import BeamfieldError, TrajectoryNotFoundError
+from beamfield.finding import Finding
 from beamfield.geometry import between, chained
 from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
@@ -351,3 +352,50 @@ def test_what_cannot_be_fitted_is_refused_with_what_helps(change: dict, message:
 def test_a_bad_start_is_wrong_usage(world: Path, tmp_path: Path, capsys, more, message):
     code = on_map("calibrate", world, "lone.carmen", tmp_path / "out", *LONE, "--quiet", *more)
     assert re.search(message, one_line(capsys, code, 2))
+
+
+def named(name: str) -> Finding:
+    return Finding(name, "warning", f"{name}.", do="Mend it.")
+
+
+@pytest.mark.parametrize("refuted_by", ["reference-slides", "map-disagrees-in-part"])
+def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_the_robot(
+    world: Path, monkeypatch, refuted_by: str
+):
+    sensor, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
+    found = (named(refuted_by),)
+    for faults, expected in (((), None), ((named("laser-mount"),), "own-poses-agree")):
+        fit = replace(fit_of(world), findings=faults)
+        monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda *_, fit=fit, **__: fit)
+        better = instead_of_own(sensor, grid, found, StageProgress(quiet=True))
+        assert (better and better.instead_of.name) == expected
+    assert "laser-mount" in [one.name for one in better.findings()]
+    assert instead_of_own(sensor, grid, (named("pose-in-wall"),), StageProgress(quiet=True)) is None
+
+
+def test_doctor_names_the_robots_fault_first_and_does_not_blame_the_motion_noise_for_it(
+    world: Path, lost: str, tmp_path: Path, monkeypatch, capsys
+):
+    file = nav2_file(tmp_path)
+    file.write_text(file.read_text().replace("max_beams: 30", "max_beams: 5"))
+    for faults, is_judged in (((), True), ((named("odometry-sign"),), False)):
+        fit = replace(fit_of(world), findings=faults)
+        monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda *_, fit=fit, **__: fit)
+        main(["doctor", str(file), "--map", str(world / "map.yaml"), "--log", str(world / lost)])
+        said = capsys.readouterr().out
+        assert ("motion-noise-wide" in said) == is_judged
+    assert said.index("warning: odometry-sign") < said.index("warning: few-usable-beams")
+
+
+def test_doctor_tests_nothing_at_poses_that_the_map_refutes(world: Path, tmp_path: Path, monkeypatch, capsys):
+    def refuse(*_, **__):
+        raise TrajectoryNotFoundError("two trajectories fit the log equally well")
+
+    monkeypatch.setattr(fitted_poses, "fit_trajectory", refuse)
+    write_another_building(tmp_path / "other.yaml")
+    other, log = tmp_path / "other.yaml", world / "log.carmen"
+    main(["doctor", str(nav2_file(tmp_path)), "--map", str(other), "--log", str(log)])
+    said = capsys.readouterr()
+    assert "warning: map-disagrees" in said.out
+    assert "motion-noise" not in said.out
+    assert "at the log's poses; tests at them are left out" in said.err

@@ -53,3 +53,19 @@ def test_only_scans_with_both_poses_count():
     shift[0, 0], shift[1], trusted[0] = 9.0, np.nan, False
     assert compared(shift, trusted).name == "own-poses-agree"
     assert compared(np.full((10, 3), np.nan)) is None
+
+
+def test_poses_that_are_wrong_from_the_first_one_on_tell_of_the_initial_pose():
+    shift = np.zeros((10, 3))
+    shift[0], shift[1:, 0], shift[1:, 2] = np.nan, 1.0, np.pi
+    found = compared(shift)
+    assert found.name == "own-poses-lost"
+    assert "wrong from their first one on, 0.5 s after the first scan, by 1.00 m and 180 degrees" in found.text
+    assert "initial pose" in found.why
+    assert "in 100% of the scans, up to 1.00 m" in found.text
+
+
+def test_a_rough_initial_pose_is_not_blamed():
+    shift = np.zeros((10, 3))
+    shift[:, 0], shift[:, 2] = 0.6, np.radians(25.0)
+    assert "leave the fitted ones 0.0 s after the first scan" in compared(shift).text

@@ -137,7 +137,7 @@ def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions 
 
 
 def _not_needed(used: NDArray[np.bool_], n_beams: int) -> NDArray[np.bool_]:
-    """Scans besides every second, third, ... of those used, as few as leave MOST_BEAMS; none in logs of common length."""
+    """Scans besides every second, third, ... of those used, so that MOST_BEAMS remain."""
     needed, scans = np.zeros(len(used), bool), np.flatnonzero(used)
     needed[scans[:: -(-len(scans) * n_beams // MOST_BEAMS)] if len(scans) else scans] = True
     return np.asarray(used & ~needed)

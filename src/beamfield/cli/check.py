@@ -228,8 +228,8 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
 
 def _lost(given: _Inputs) -> str:
     """Return where the log's own poses leave the fitted ones, if others were fitted instead."""
-    lost = None if given.fitted is None else given.fitted.instead_of
-    return "" if lost is None else lost.text.rstrip(".")
+    own = None if given.fitted is None else given.fitted.instead_of
+    return own.text.rstrip(".") if own is not None and own.name == "own-poses-lost" else ""
 
 
 def _disagreement(given: _Inputs) -> str:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import posed_as_asked
+from beamfield.cli.fitted_poses import OF_THE_ROBOT, posed_as_asked
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command
 from beamfield.cli.progress import StageProgress
@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from beamfield.sensors import SensorLog
     from beamfield.stacks.doctor.subject import MapFile
     from beamfield.stacks.files.parameter_file import StackFile
+
+
+# What is said of the motion noise is said of the fault where the odometry, the laser's mount or a clock is wrong.
+MOTION_NOISE = ("motion-noise-narrow", "motion-noise-wide")
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
@@ -88,8 +92,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
             notes = (*notes, *more)
         progress("examining", 0, 1)
         found = examine(file, grid=grid, map_file=map_file, log=log, frames=frames)
-    known = {item.name for item in found}
-    found = worst_first((*found, *(item for item in of_poses if item.name not in known)))
+    of_robot = {item.name for item in of_poses}
+    hidden = MOTION_NOISE if of_robot & set(OF_THE_ROBOT) else ()
+    # The robot's own faults come first: no value of a parameter mends them.
+    found = worst_first((*of_poses, *(item for item in found if item.name not in (*of_robot, *hidden))))
     code = 1 if any(item.severity != "info" for item in found) else 0
     return Outcome(_counts(found), _as_text(file, found), _as_document(file, found), notes, code=code)
 
@@ -99,14 +105,19 @@ def _posed(
 ) -> tuple[SensorLog, tuple[Finding, ...], tuple[str, ...]]:
     """Return the log with poses, its own or fitted to the map, what is wrong with them, and notes.
 
-    If none can be fitted it is the log as it was, and a note says why.
+    If none can be fitted it is the log as it was, and a note says why; without poses if most readings refute its own.
     """
+    import numpy as np
+
     try:
         log, _, found = posed_as_asked(log, grid, arguments, progress)
     except (FormatError, TooLittleDataError) as error:
         return log, (), (f"{error}; tests at the scans' poses are left out",)
-    infos = tuple(finding.full_text for finding in found if finding.severity == "info")
-    return log, tuple(finding for finding in found if finding.severity != "info"), infos
+    infos = [finding.full_text for finding in found if finding.severity == "info"]
+    if arguments.poses is None and any(one.name == "map-disagrees" for one in found):
+        log = log.with_poses(np.full((len(log), 3), np.nan))
+        infos.append("most readings disagree with the map at the log's poses; tests at them are left out")
+    return log, tuple(finding for finding in found if finding.severity != "info"), tuple(infos)
 
 
 def _read_map(arguments: argparse.Namespace) -> tuple[OccupancyGrid, MapFile]:

@@ -30,7 +30,9 @@ Fitted = TypeVar("Fitted", bound="FittedPoses")
 Start = tuple[float, float, float] | None
 NO_POSE = "no scan has a reference pose"
 # What refutes a log's own poses.
-REFUTED = ("map-disagrees", "reference-slides", "reference-stands-still")
+REFUTED = ("map-disagrees", "map-disagrees-in-part", "reference-slides", "reference-stands-still")
+# What is wrong with the robot, and looks like slipping wheels at poses that its own filter made of it.
+OF_THE_ROBOT = ("odometry-sign", "laser-mount", "scan-delay")
 
 
 def posed_log(
@@ -40,7 +42,8 @@ def posed_log(
     """Return a log with reference poses, its own or else fitted to the map, what was fitted, and findings on the poses.
 
     Its own are those of a localizer that may have been lost: where they do not go with the map or the odometry, and
-    others can be fitted that are elsewhere, these are taken; not if they are from a file that the user named, `poses`.
+    others can be fitted that are elsewhere or show what is wrong with the robot, these are taken; not if they are from
+    a file that the user named, `poses`.
     """
     from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import fit_poses
@@ -77,7 +80,10 @@ def has_poses(sensor: SensorLog, start: Start) -> bool:
 def instead_of_own(
     sensor: SensorLog, grid: OccupancyGrid, found: tuple[Finding, ...], progress: StageProgress
 ) -> FittedPoses | None:
-    """Return poses to take instead of a log's own, if those are refuted by what was found and these are elsewhere."""
+    """Return poses to take instead of a log's own, if those are refuted by what was found.
+
+    None if no others can be fitted, or if they are in the same place and nothing is wrong with the robot.
+    """
     from beamfield.localization.fitted_poses import fit_poses
     from beamfield.localization.own_poses import compare_own_poses
 
@@ -88,7 +94,8 @@ def instead_of_own(
     except BeamfieldError:
         return None
     compared = compare_own_poses(sensor, fitted.fit)
-    if compared is None or compared.name != "own-poses-lost":
+    faults = any(one.name in OF_THE_ROBOT for one in fitted.fit.findings)
+    if compared is None or not (compared.name == "own-poses-lost" or faults):
         return None
     return replace(fitted, instead_of=compared)
 

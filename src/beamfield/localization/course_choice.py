@@ -146,9 +146,10 @@ def choose_course(
         return FoundCourse(steps, judged[0][1], hypotheses, findings)
     for _, steps in (plain, reversed_):
         _refuse_mirrored(log, steps, search, limit)
+    may_be_right = start is None and first[0].agrees >= LEAST_AGREEMENT
     raise TrajectoryNotFoundError(
-        "no trajectory through this map fits the log (another building, a drive beyond the map, or wrong odometry?); "
-        f"{_named(first)}"
+        "no trajectory through this map fits the log (another building, a map out of date, a drive beyond it, or wrong "
+        f"odometry?); {_named(first)}{'; if that is where it began, give that start' if may_be_right else ''}"
     )
 
 

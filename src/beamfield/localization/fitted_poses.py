@@ -41,7 +41,7 @@ class FittedPoses:
         half a cell. Nobody knows better where in its cells a wall stands, and the beams of a scan do not say: all of
         them follow the map.
     instead_of
-        What is wrong with the log's own poses, in whose place they are; None if it has none.
+        How the log's own poses, in whose place they are, compare with them; None if it has none.
     """
 
     fit: TrajectoryFit
@@ -61,7 +61,7 @@ class FittedPoses:
     def sentence(self) -> str:
         """Where the poses come from, for people."""
         why = (
-            "The log's own poses are wrong: others"
+            "The log's own poses do not go with the map or the odometry: others"
             if self.instead_of is not None
             else "The log has no reference poses: they"
         )
@@ -88,7 +88,8 @@ class FittedPoses:
             do="Look at the path over the map (beamfield trajectory draws it); poses from elsewhere, such as motion "
             "capture's, are better.",
         )
-        return (said, *([] if self.instead_of is None else [self.instead_of]), *self.fit.findings)
+        # What is wrong with the robot comes before what its filter made of it.
+        return (said, *self.fit.findings, *([] if self.instead_of is None else [self.instead_of]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,8 @@ from beamfield.sensors import SensorLog
 
 # A robot that is farther off than this is lost, metres and radians.
 LOST, LOST_TURN = 0.5, float(np.radians(20.0))
+# From a start nearer than this, two standard deviations of nav2's initial belief, a filter finds the robot.
+FAR, FAR_TURN = 1.0, float(np.radians(30.0))
 
 
 def compare_own_poses(log: SensorLog, fit: TrajectoryFit) -> Finding | None:
@@ -32,15 +34,29 @@ def compare_own_poses(log: SensorLog, fit: TrajectoryFit) -> Finding | None:
             f"The log's own poses lie {np.median(off):.2f} m (median) from the fitted ones, {off.max():.2f} m at most"
         )
         return Finding("own-poses-agree", "info", f"{text}.", values)
-    first = both[int(np.argmax(lost))]
-    since, (x, y, _) = float(log.stamps[first] - log.stamps[0]), fit.poses[first]
+    first = int(np.argmax(lost))
+    scan = both[first]
+    since, (x, y, _) = float(log.stamps[scan] - log.stamps[0]), fit.poses[scan]
+    if first == 0 and (off[0] > FAR or turned[0] > FAR_TURN):
+        where = (
+            f"The log's own poses are wrong from their first one on, {since:.1f} s after the first scan, by "
+            f"{off[0]:.2f} m and {np.degrees(turned[0]):.0f} degrees, with the robot at ({x:.2f} m, {y:.2f} m)"
+        )
+        why = "The initial pose was wrong, the robot was lost before, or its poses are of another map's frame."
+        do = "Look at where the initial pose comes from. beamfield evaluate runs the filter from a right one."
+    else:
+        where = (
+            f"The log's own poses leave the fitted ones {since:.1f} s after the first scan, with the robot at "
+            f"({x:.2f} m, {y:.2f} m)"
+        )
+        why = "What localised the robot was lost there, or its poses are of another map's frame."
+        do = "Try the filter's parameters on this log: beamfield doctor, then beamfield evaluate."
     return Finding(
         "own-poses-lost",
         "warning",
-        f"The log's own poses leave the fitted ones {since:.1f} s after the first scan, with the robot at "
-        f"({x:.2f} m, {y:.2f} m): they are more than {LOST:g} m or {np.degrees(LOST_TURN):.0f} degrees off in "
-        f"{lost.mean():.0%} of the scans, up to {off.max():.2f} m, and {off[-1]:.2f} m at the end.",
+        f"{where}: they are more than {LOST:g} m or {np.degrees(LOST_TURN):.0f} degrees off in {lost.mean():.0%} of "
+        f"the scans, up to {off.max():.2f} m, and {off[-1]:.2f} m at the end.",
         {**values, "first_s": since, "x_m": float(x), "y_m": float(y)},
-        why="What localised the robot was lost there, or its poses are of another map's frame.",
-        do="Try the filter's parameters on this log: beamfield doctor, then beamfield evaluate.",
+        why=why,
+        do=do,
     )

@@ -20,6 +20,7 @@ from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_start import Course
 from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings
+from beamfield.localization.turn_errors import TurnErrors, turn_errors, turn_findings
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.outdated_map import find_outdated_map
@@ -218,8 +219,10 @@ def fit_course(
     fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
     trusted, more = judge_trajectory(drive, walls, fitted, cut, max_deviation)
     # Without odometry it is an alignment that slipped, not a wheel.
-    of_wheels = () if log.has_odometry else ("wheel-slip", "odometry-scale")
-    seen = [one for one in odometry_findings(drive, found.course, fitted) if one.name not in of_wheels]
+    of_wheels = () if log.has_odometry else ("wheel-slip", "odometry-scale", "odometry-turn-scale", "odometry-drift")
+    turns = turn_errors(drive, fitted.poses, cut)
+    seen = [*turn_findings(turns), *odometry_findings(drive, found.course, fitted)]
+    seen = [one for one in seen if one.name not in of_wheels]
     late = scan_delay(log, fitted.poses) if log.has_odometry else None
     wrong = late or (mount_of_fit(log, fitted.poses) if log.has_odometry else None)
     if wrong is not None:
@@ -228,7 +231,7 @@ def fit_course(
     findings = [*found.findings, *seen, *more]
     if (outdated := find_outdated_map(log, grid, fitted.poses)) is not None:
         findings.append(outdated)
-    return _result(log, fitted, trusted, findings, found.hypotheses)
+    return _result(log, fitted, turns, trusted, findings, found.hypotheses)
 
 
 def _check_points(drive: Drive) -> None:
@@ -280,10 +283,12 @@ def _spread_out(drive: Drive, course: Course) -> tuple[FloatArray, NDArray[np.bo
     return np.concatenate(parts), cut
 
 
-def _result(log: SensorLog, fitted: Smoothed, trusted: NDArray[np.bool_], findings: list[Finding],
-            hypotheses: tuple[StartHypothesis, ...]) -> TrajectoryFit:  # fmt: skip
+def _result(log: SensorLog, fitted: Smoothed, turns: TurnErrors | None, trusted: NDArray[np.bool_],
+            findings: list[Finding], hypotheses: tuple[StartHypothesis, ...]) -> TrajectoryFit:  # fmt: skip
     first = hypotheses[0]._replace(pose=fitted.poses[0])
     distance, turn, per_metre = (float(value) for value in fitted.systematic)
+    if turns is not None:
+        turn, per_metre = -turns.scale, -turns.drift
     return TrajectoryFit(
         log.stamps, fitted.poses, fitted.covariances, trusted, worst_first(findings), (first, *hypotheses[1:]),
         fitted.noise.hits.sigma, distance, turn, per_metre, fitted.converged,

@@ -173,7 +173,7 @@ def _slips(fitted: Smoothed, since: FloatArray) -> list[Finding]:
         found.append(Finding(
             "wheel-slip", "info",
             f"Odometry and scans differ by {distance[part].max():.2f} m and {np.degrees(turn[part].max()):.0f} degrees "
-            f"within a second, {when:.1f} s after the first scan: wheels that slipped, or a push.",
+            f"within a second, {when:.1f} s after the first scan: wheels that slipped, a push, or late stamps.",
             {"time_s": when, "distance_m": float(distance[part].max()), "turn_rad": float(turn[part].max())},
         ))  # fmt: skip
     return sorted(found, key=lambda one: -one.values["distance_m"])[:MOST_NAMED]

@@ -44,7 +44,7 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
         f"{fold('How well it does on held-out blocks', _scores(learned))}"
         f"{fold('The file likelihood_field.yaml', f'<pre>{escaped(file_text)}</pre>')}"
     )
-    return PageSection("field", TITLE, markup)
+    return PageSection(ANCHOR, TITLE, markup)
 
 
 def _scores(learned: FieldLearning) -> str:
@@ -55,7 +55,6 @@ def _scores(learned: FieldLearning) -> str:
         "field that says nothing, far below 0 for one that is certain and wrong. Covered: share of those posteriors "
         "whose 90% region holds the truth.</p>"
     )
-    return PageSection(ANCHOR, TITLE, markup)
 
 
 def _parameter_rows(learned: FieldLearning) -> list[tuple[str, ...]]:

@@ -441,6 +441,13 @@ def test_defaults_do_not_stand_in_for_values_that_are_wrong(tmp_path):
     ]
 
 
+def test_a_range_limit_that_hides_readings_comes_before_the_few_beams_that_it_leaves(tmp_path):
+    names = [
+        item.name for item in examine(amcl(tmp_path, laser_max_range=2.0, max_beams=30), log=scans(some(1.0, 0.1)))
+    ]
+    assert names.index("range-limit-hides-readings") < names.index("few-usable-beams")
+
+
 def test_an_infinite_longest_range_is_the_sensors_own_in_amcl_only(tmp_path):
     severities = {
         stack: next(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.context.exponent import learn_exponent, scan_log_likelihoods, score_exponents
-from beamfield.calibration.pose_windows import WindowOptions, cut_windows, draw_rivals
+from beamfield.calibration.pose_windows import WindowOptions, cut_windows, draw_rivals_of_each
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
@@ -32,9 +32,10 @@ def test_exponents_of_one_log_cover_the_truth_in_another(data):
     learned = learn_exponent(model, logs[0], grid)
     assert 4.0 < learned.independent_beams < 7.0
     assert 1.0 < learned.independent_beams_in_drive < 2.5
-    options = WindowOptions()
-    rivals = draw_rivals(options, grid)
-    values = scan_log_likelihoods(model, logs[1], cut_windows(logs[1], grid, rivals, options))
+    # Other guesses at the truth than those that the exponents were learned with.
+    options = WindowOptions(seed=1)
+    windows = cut_windows(logs[1], grid, draw_rivals_of_each(options, grid), options)
+    values, rivals = scan_log_likelihoods(model, logs[1], windows), [window.rivals for window in windows]
     for each, power in ((values[:, 0], learned.single.value), (values.sum(axis=1), learned.drive.value)):
         (scores,) = score_exponents(each, np.array([power]), rivals)
         # Ninety posteriors: 3% of a standard error.

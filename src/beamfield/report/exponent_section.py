@@ -34,6 +34,13 @@ def exponent_sentence(learned: ExponentLearning) -> str:
         f"a filter, where the errors of scan after scan go together, about {learned.independent_beams_in_drive:.2g}."
     )
     single = learned.single
+    error = single.score_se if math.isfinite(single.score_se) else 0.0
+    if single.score <= 2.0 * error:
+        return (
+            "How many independent beams a scan is worth cannot be told: on held-out blocks of time its posteriors are "
+            f"not surely better than knowing nothing ({single.score:+.2f} ± {error:.2f} nats). Correct the map, the "
+            "poses or the model and calibrate again."
+        )
     if single.if_reference_exact > LIMITED * single.value:
         said += (
             f" The error of the reference poses, {learned.reference_error:g} m, limits this: with exact ones a scan "

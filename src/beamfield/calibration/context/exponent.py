@@ -19,7 +19,7 @@ from beamfield.calibration.pose_windows import (
     Window,
     WindowOptions,
     cut_windows,
-    draw_rivals,
+    draw_rivals_of_each,
     window_block_s,
 )
 from beamfield.calibration.selection import SelectionOptions
@@ -160,17 +160,15 @@ def learn_exponent(
         reference_error=reference_error, reference_turn_error=reference_error / REFERENCE_LEVER, seed=seed
     )
     length = window_block_s(log, grid, options, selection) if block_s is None else block_s
-    rivals = draw_rivals(options, grid)
-    windows = cut_windows(log, grid, rivals, options, selection, length)
+    windows = cut_windows(log, grid, draw_rivals_of_each(options, grid), options, selection, length)
     values = scan_log_likelihoods(model, log, windows)
-    return exponents_of(values, windows, time_blocks(log.stamps, length), rivals, options, model.n_beams, log)
+    return exponents_of(values, windows, time_blocks(log.stamps, length), options, model.n_beams, log)
 
 
 def exponents_of(
     values: FloatArray,
     windows: Sequence[Window],
     blocks: NDArray[np.int64],
-    rivals: Rivals,
     options: WindowOptions,
     n_beams: int | None,
     log: SensorLog,
@@ -182,6 +180,7 @@ def exponents_of(
     held_out = np.array([window.fold == HELD_OUT for window in windows])
     block = np.array([blocks[window.scans[0]] for window in windows])
     of_scan = log.finder.n_beams
+    rivals = [window.rivals for window in windows]
     return ExponentLearning(
         _learn(values.sum(axis=1), held_out, block, rivals, options),
         # The first scan of each window alone: around its own reference are the poses that compete.
@@ -208,13 +207,24 @@ def scan_log_likelihoods(
     )
 
 
-def score_exponents(log_likelihoods: FloatArray, exponents: FloatArray, rivals: Rivals) -> list[PosteriorScores]:
+def score_exponents(
+    log_likelihoods: FloatArray, exponents: FloatArray, rivals: Rivals | Sequence[Rivals]
+) -> list[PosteriorScores]:
     """Return the scores of posteriors under each exponent > 0 (c,), of w drives or scans at n poses.
 
-    The rivals are those that the windows were cut with.
+    The rivals are those that the windows were cut with, for all of them or for each.
     """
-    n_near = len(rivals.offsets)
-    return [judge_weights((power * log_likelihoods)[:, None], n_near, rivals)[0] for power in exponents]
+    if isinstance(rivals, Rivals):
+        n_near = len(rivals.offsets)
+        return [judge_weights((power * log_likelihoods)[:, None], n_near, rivals)[0] for power in exponents]
+    each = [
+        judge_weights((exponents[:, None] * values)[None], len(own.offsets), own)
+        for values, own in zip(log_likelihoods, rivals, strict=True)
+    ]
+    return [
+        PosteriorScores(np.concatenate([s.log_score for s in of_power]), np.concatenate([s.denser for s in of_power]))
+        for of_power in zip(*each, strict=True)
+    ]
 
 
 def suited_exponent(coverages: FloatArray) -> float:
@@ -236,20 +246,23 @@ def suited_exponent(coverages: FloatArray) -> float:
 
 
 def _learn(
-    values: FloatArray, held_out: NDArray[np.bool_], blocks: NDArray[np.int64], rivals: Rivals, options: WindowOptions
-) -> LearnedExponent:
+    values: FloatArray, held_out: NDArray[np.bool_], blocks: NDArray[np.int64], rivals: Sequence[Rivals],
+    options: WindowOptions,
+) -> LearnedExponent:  # fmt: skip
     """Return the exponent for log-likelihoods (w, n), judged on what is held out."""
-    fitted = score_exponents(values[~held_out], EXPONENTS, rivals)
+    of_fitted = [own for own, out in zip(rivals, held_out, strict=True) if not out]
+    of_judged = [own for own, out in zip(rivals, held_out, strict=True) if out]
+    fitted = score_exponents(values[~held_out], EXPONENTS, of_fitted)
     each = np.array([scores.denser < LEVEL for scores in fitted])
     covered = each.mean(axis=2)
     power = suited_exponent(covered.mean(axis=1))
     # The guesses at the truth that lie next to the reference.
     error = (options.reference_error, options.reference_error, options.reference_turn_error)
-    truths = np.square(rivals.offsets[: each.shape[2]] / error).sum(axis=1)
-    nearest = np.argsort(truths)[:N_NEAREST]
-    exact = suited_exponent(each[:, :, nearest].mean(axis=(1, 2)))
+    truths = np.array([np.square(own.offsets[: each.shape[2]] / error).sum(axis=1) for own in of_fitted])
+    nearest = np.argsort(truths, axis=1)[:, :N_NEAREST]
+    exact = suited_exponent(np.take_along_axis(each, nearest[None], axis=2).mean(axis=(1, 2)))
     interval = _interval(power, covered, blocks[~held_out])
-    judged, independent = score_exponents(values[held_out], np.array([power, 1.0]), rivals)
+    judged, independent = score_exponents(values[held_out], np.array([power, 1.0]), of_judged)
     score_se = block_standard_error(judged.log_score, blocks[held_out])
     return LearnedExponent(power, interval, exact, judged.coverage_at(LEVEL), judged.mean, score_se, independent.mean)
 

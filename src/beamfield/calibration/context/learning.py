@@ -146,7 +146,8 @@ def score_and_weights(values: FloatArray, rivals: Rivals) -> tuple[FloatArray, F
     weights = relative_weights(values)
     total = weights @ prior.T
     ratios = np.divide(weights[:, :n_truths], total, out=np.zeros_like(total), where=total > 0.0)
-    alive = ratios > np.exp(LOWEST)
+    # A window that no pose can explain says nothing, and no step of the parameters makes it.
+    alive = (ratios > np.exp(LOWEST)) & (values.max(axis=1, keepdims=True) > -np.inf)
     shares = np.divide(alive, total, out=np.zeros_like(total), where=alive) / n_truths
     slopes = -weights * (shares @ prior)
     slopes[:, :n_truths] += alive / n_truths

@@ -26,11 +26,10 @@ from beamfield.calibration.field.findings import density_findings, exponent_find
 from beamfield.calibration.pose_windows import (
     HELD_OUT,
     REFERENCE_LEVER,
-    Rivals,
     Window,
     WindowOptions,
     cut_windows,
-    draw_rivals,
+    draw_rivals_of_each,
     window_block_s,
 )
 from beamfield.calibration.selection import SelectionOptions, select_scans
@@ -217,14 +216,13 @@ def learn_field_parameters(
     low, high = intervals["sigma_hit"]
     intervals["sigma_hit"] = (float(np.hypot(low, reference_error)), float(np.hypot(high, reference_error)))
     widened = replace(parameters, sigma_hit=float(np.hypot(parameters.sigma_hit, reference_error)))
-    rivals = draw_rivals(options, grid)
     windows: Sequence[Window] = ()
     exponent, intervals["exponent"], reason = 1.0, (0.0, np.inf), ""
     try:
-        windows = cut_windows(log, grid, rivals, options, selection, length)
+        windows = cut_windows(log, grid, draw_rivals_of_each(options, grid), options, selection, length)
     except TooLittleDataError as error:
         reason = str(error)
-    judge = _Judge(log, grid, windows, rivals, options, n_beams)
+    judge = _Judge(log, grid, windows, options, n_beams)
     values = judge.log_likelihoods(widened, windows)
     exponents = judge.learn_exponents(values, blocks) if windows else None
     if exponents is not None:
@@ -293,7 +291,6 @@ class _Judge:
     log: SensorLog
     grid: OccupancyGrid
     windows: Sequence[Window]
-    rivals: Rivals
     options: WindowOptions
     n_beams: int
 
@@ -304,11 +301,12 @@ class _Judge:
 
     def learn_exponents(self, values: FloatArray, blocks: NDArray[np.int64]) -> ExponentLearning:
         """Return the exponents that suit the windows to fit to, given the log-likelihoods of all."""
-        return exponents_of(values, self.windows, blocks, self.rivals, self.options, self.n_beams, self.log)
+        return exponents_of(values, self.windows, blocks, self.options, self.n_beams, self.log)
 
     def score(self, values: FloatArray, exponent: float) -> PosteriorScores:
         """Return the scores of the held-out windows, given their log-likelihoods."""
-        return score_exponents(values.sum(axis=1), np.array([exponent]), self.rivals)[0]
+        rivals = [window.rivals for window in self.windows if window.fold == HELD_OUT]
+        return score_exponents(values.sum(axis=1), np.array([exponent]), rivals)[0]
 
 
 def _score(

@@ -114,7 +114,7 @@ class TestResult:
         assert document["independent_beams"] == pytest.approx(30 * saved.single_scan_exponent, rel=5e-6)
         said = f"A scan of 61 beams is worth about {document['independent_beams']:.2g} independent ones"
         page = (out / "report.html").read_text()
-        assert '<h2 id="independent-beams">Independent beams</h2>' in page
+        assert '<h3>Independent beams</h3></summary>\n<div id="independent-beams">' in page
         assert said in page
 
     def test_the_provenance_names_inputs_by_hash_and_no_folder(self, out: Path, world: Path):

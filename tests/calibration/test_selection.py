@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beamfield.calibration.selection import SelectionOptions, select_scans
+from beamfield.calibration.selection import SelectionOptions, select_scans, thinned
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, SensorLog
@@ -148,6 +148,11 @@ def test_options_that_make_no_sense_are_refused():
 
 def test_of_more_beams_than_a_fit_needs_every_second_scan_is_used(monkeypatch):
     monkeypatch.setattr("beamfield.calibration.selection.MOST_BEAMS", 60 * 5 - 1)
-    selection = select_scans(drive(), room())
+    selection = thinned(select_scans(drive(), room()), 5)
     assert selection.dropped == {"not needed": 30}
     assert selection.used[::2].all()
+
+
+def test_no_scan_of_a_common_log_is_left_out():
+    selection = select_scans(drive(), room())
+    assert thinned(selection, 5).used.all()

@@ -42,7 +42,7 @@ from beamfield.calibration.opposite_beams import OppositeBeams, map_findings, op
 from beamfield.calibration.options import CalibrationOptions
 from beamfield.calibration.pose_refinement import PoseRefinement, refine_poses, refinement_findings
 from beamfield.calibration.reference_checks import pose_findings
-from beamfield.calibration.selection import Selection, select_scans
+from beamfield.calibration.selection import Selection, select_scans, thinned
 from beamfield.calibration.time_split import held_out_mask, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding, worst_first
@@ -214,8 +214,8 @@ def calibrate(
     if not whole.occupied.any():
         raise InvalidInputError("the map has no occupied cell: no ray has an expected range")
 
-    # 1. Scans that moved, lie on the map and have a plausible reference pose.
-    selection = select_scans(log, whole, options.selection)
+    # 1. Scans that moved, lie on the map and have a plausible reference pose; no more than a fit needs.
+    selection = thinned(select_scans(log, whole, options.selection), log.finder.n_beams)
 
     # 2. Expected ranges.
     table, clutter = _cast(log, grid, selection.used, options, report)

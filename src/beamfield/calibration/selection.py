@@ -129,18 +129,20 @@ def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions 
     drop(_jumps(log, options), "reference pose jumps")
     drop(_turns_fast(log, options.max_turn_rate), "turning too fast")
     drop(_stands(log, reason < 0, options), "standing still")
-    drop(_not_needed(reason < 0, log.finder.n_beams), "not needed")
     selection = Selection(reason < 0, reason)
     if selection.used.sum() < options.min_scans:
         raise TooLittleDataError(f"{log.finder.name or 'log'}: {selection.describe()}; need {options.min_scans}")
     return selection
 
 
-def _not_needed(used: NDArray[np.bool_], n_beams: int) -> NDArray[np.bool_]:
-    """Scans besides every second, third, ... of those used, so that MOST_BEAMS remain."""
-    needed, scans = np.zeros(len(used), bool), np.flatnonzero(used)
-    needed[scans[:: -(-len(scans) * n_beams // MOST_BEAMS)] if len(scans) else scans] = True
-    return np.asarray(used & ~needed)
+def thinned(selection: Selection, n_beams: int) -> Selection:
+    """Return every second, third, ... scan of those selected, of n_beams each, so that MOST_BEAMS remain."""
+    scans = np.flatnonzero(selection.used)
+    every = max(1, -(-len(scans) * n_beams // MOST_BEAMS))
+    reason = selection.reason.copy()
+    reason[scans] = REASONS.index("not needed")
+    reason[scans[::every]] = -1
+    return Selection(reason < 0, reason)
 
 
 def _sensor_origins(log: SensorLog) -> FloatArray:

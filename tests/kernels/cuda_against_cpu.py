@@ -1,15 +1,22 @@
-"""Run by `test_cuda` in Numba's CUDA simulator: how far results of device="cuda" are from the CPU's, as JSON."""
+"""Run by `test_cuda`: how far results of device="cuda" are from the CPU's, as JSON.
+
+On a GPU, or in Numba's CUDA simulator, as the environment says.
+"""
 
 from __future__ import annotations
 
 import json
 import pickle
 import sys
+from typing import Any
+from unittest import mock
 
 import numpy as np
+from numba import cuda
 
 import beamfield as bf
 from beamfield.calibration.intrinsic.likelihood import ExpectedStatistics, IntrinsicLikelihood
+from beamfield.errors import InvalidInputError
 
 ROOM = """
 ########################
@@ -25,7 +32,7 @@ ROOM = """
 """
 
 
-def results() -> dict[str, float]:
+def results() -> dict[str, Any]:
     cells = {"#": 100, ".": 0, "?": -1}
     room = np.array([[cells[cell] for cell in row] for row in ROOM.split()])
     grid = bf.OccupancyGrid.from_ros(room, resolution=0.1, origin=(0.3, -0.2, 0.4))
@@ -36,7 +43,17 @@ def results() -> dict[str, float]:
     mounts = np.column_stack([rng.uniform(-0.2, 0.2, (9, 2)), np.linspace(-2.0, 2.0, 9)])
     finder = bf.RangeFinder(mounts, max_range=2.0, min_range=0.1)
     scan = bf.Scan([np.nan, 2.5, 0.05, 0.3, 0.7, 1.0, 1.4, 1.9, 0.11], finder)
-    return _rays(grid, poses, finder) | _beam_model(grid, poses, scan) | _fields(grid, poses, scan) | _learning(rng)
+    found = _rays(grid, poses, finder) | _beam_model(grid, poses, scan) | _fields(grid, poses, scan) | _learning(rng)
+    return found | _without_memory(grid)
+
+
+def _without_memory(grid: bf.OccupancyGrid) -> dict[str, str]:
+    with mock.patch.object(cuda, "to_device", side_effect=RuntimeError("CUDA_ERROR_OUT_OF_MEMORY")):
+        try:
+            bf.RayCaster(grid, device="cuda")
+        except InvalidInputError as error:
+            return {"without memory": str(error)}
+    return {}
 
 
 def _rays(grid: bf.OccupancyGrid, poses: np.ndarray, finder: bf.RangeFinder) -> dict[str, float]:

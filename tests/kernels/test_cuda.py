@@ -1,12 +1,15 @@
-"""device="cuda": its source in Numba's CUDA simulator against the CPU, and what is said where there is no GPU."""
+"""device="cuda" against the CPU, in Numba's CUDA simulator or on a GPU; what is said where there is none."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,48 +25,52 @@ pytestmark = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
-def in_simulator() -> dict[str, float]:
+def on_cuda() -> dict[str, Any]:
+    has_gpu = find_spec("numba_cuda") is not None and cuda.is_available()
     command = [sys.executable, "-W", "error", "-m", "tests.kernels.cuda_against_cpu"]
-    environment = os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}
+    environment = os.environ | {"NUMBA_ENABLE_CUDASIM": "0" if has_gpu else "1"}
     done = subprocess.run(command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    result: dict[str, float] = json.loads(done.stdout)
+    result: dict[str, Any] = json.loads(done.stdout)
     return result
 
 
-def test_cuda_is_not_loaded_for_the_cpu(in_simulator: dict[str, float]) -> None:
-    assert in_simulator["CUDA is loaded for the CPU"] == 0
+def test_cuda_is_not_loaded_for_the_cpu(on_cuda: dict[str, Any]) -> None:
+    assert on_cuda["CUDA is loaded for the CPU"] == 0
 
 
-def test_rays_have_the_same_bits(in_simulator: dict[str, float]) -> None:
-    assert in_simulator["ranges of walls"] > 50
-    assert in_simulator["ranges that differ"] == 0
+def test_rays_have_the_same_bits(on_cuda: dict[str, Any]) -> None:
+    assert on_cuda["ranges of walls"] > 50
+    assert on_cuda["ranges that differ"] == 0
 
 
 @pytest.mark.parametrize("name", ["mixture", "only hits"])
-def test_the_beam_model_is_the_same_to_the_last_digits(in_simulator: dict[str, float], name: str) -> None:
-    assert in_simulator[name] < 1e-12
+def test_the_beam_model_is_the_same_to_the_last_digits(on_cuda: dict[str, Any], name: str) -> None:
+    assert on_cuda[name] < 1e-12
 
 
 @pytest.mark.parametrize("name", ["field", "impossible"])
-def test_likelihood_fields_are_the_same_to_the_last_digits(in_simulator: dict[str, float], name: str) -> None:
-    assert in_simulator["scans that are impossible"] > 3
-    assert in_simulator[name] < 1e-12
-    assert in_simulator[f"no scan, {name}"] == 0.0
+def test_likelihood_fields_are_the_same_to_the_last_digits(on_cuda: dict[str, Any], name: str) -> None:
+    assert on_cuda["scans that are impossible"] > 3
+    assert on_cuda[name] < 1e-12
+    assert on_cuda[f"no scan, {name}"] == 0.0
 
 
 @pytest.mark.parametrize("name", ["mixture", "slope", "far too narrow", "impossible"])
 @pytest.mark.parametrize("what", ["E-step", "Newton"])
-def test_passes_of_learning_are_the_same_to_the_last_digits(
-    in_simulator: dict[str, float], what: str, name: str
-) -> None:
-    assert in_simulator[f"{what}, {name}"] < 1e-12
+def test_passes_of_learning_are_the_same_to_the_last_digits(on_cuda: dict[str, Any], what: str, name: str) -> None:
+    assert on_cuda[f"{what}, {name}"] < 1e-12
 
 
-def test_learning_ends_at_the_same_parameters(in_simulator: dict[str, float]) -> None:
-    assert in_simulator["iterations"] == in_simulator["iterations on the CPU"] > 5
-    assert in_simulator["fit"] < 1e-12
-    assert in_simulator["no returns"] == 0.0
+def test_learning_ends_at_the_same_parameters(on_cuda: dict[str, Any]) -> None:
+    assert on_cuda["iterations"] == on_cuda["iterations on the CPU"] > 5
+    assert on_cuda["fit"] < 1e-12
+    assert on_cuda["no returns"] == 0.0
+
+
+def test_too_little_memory_is_told(on_cuda: dict[str, Any]) -> None:
+    expected = r"device: expected 2496 bytes of free memory on the GPU, got (\d+|inf) bytes"
+    assert re.fullmatch(expected, on_cuda["without memory"])
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from numba import cuda, float64
 from numpy.typing import NDArray
 
 from beamfield.kernels import intrinsics as cpu
-from beamfield.kernels.cuda_target import launch_blocks, on_device
+from beamfield.kernels.cuda_target import allocate, launch_blocks, on_device, upload
 from beamfield.kernels.intrinsics import N_DERIVATIVES, Beams, Scratch
 from beamfield.kernels.narrow_bins import BIN_BEAMS, TERMS, Bins, Mixture
 
@@ -52,8 +52,8 @@ def launch_over_bins(kernel: Any, beams: Beams, mixture: Mixture, bins: Bins, ou
 def _over_bins(kernel: Any, n_sums: int, beams: Beams, mixture: Mixture, bins: Bins) -> Floats:
     out = np.empty((bins.starts.size, n_sums))
     if len(out):
-        sums = cuda.device_array(out.shape, np.float64)
-        launch_over_bins(kernel, beams, mixture, Bins(*map(cuda.to_device, bins)), sums)
+        sums = allocate(*out.shape)
+        launch_over_bins(kernel, beams, mixture, Bins(*map(upload, bins)), sums)
         sums.copy_to_host(out)
     return out
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from beamfield.kernels import beam, exact_rays
 from beamfield.kernels.beam import BeamView
-from beamfield.kernels.cuda_target import launch, on_device, product
+from beamfield.kernels.cuda_target import allocate, download, launch, on_device, product, upload
 from beamfield.kernels.elementary import split as cpu_split
 from beamfield.kernels.exact_rays import Terrain
 from beamfield.kernels.placed_poses import place_poses
@@ -35,11 +35,11 @@ PLACED_PER_WORK_UNIT = 4
 def cast_fan(poses: Floats, frame: tuple[float, float, float], fan: Floats, terrain: Terrain, out: Floats) -> None:
     """Do what `raycast.cast_fan` does; `terrain.table` is on the device."""
     k = fan.shape[1] - 8
-    sensor = cuda.to_device(fan)
+    sensor = upload(fan)
     for start, stop, placed in _placed_parts(poses, frame, terrain.resolution, k):
-        ranges = cuda.device_array((stop - start) * k, np.float64)
+        ranges = allocate((stop - start) * k)
         launch(_cast, ranges.size, placed, sensor, *terrain, ranges)
-        ranges.copy_to_host(out[start * k : stop * k])
+        download(ranges, out[start * k : stop * k])
 
 
 def fill_scan_log_likelihood(
@@ -51,13 +51,13 @@ def fill_scan_log_likelihood(
     `ranges` (k,) are counted from `view.min_range`; the ranges of `terrain` are not.
     """
     k = fan.shape[1] - 8
-    sensor, readings = cuda.to_device(fan), cuda.to_device(ranges)
-    parameters = cuda.to_device(np.array(view, np.float64))
+    sensor, readings = upload(fan), upload(ranges)
+    parameters = upload(np.array(view, np.float64))
     for start, stop, placed in _placed_parts(poses, frame, terrain.resolution, k):
-        each, sums = cuda.device_array((stop - start, k), np.float64), cuda.device_array(stop - start, np.float64)
+        each, sums = allocate(stop - start, k), allocate(stop - start)
         launch(_score, each.size, placed, sensor, *terrain, readings, parameters, each)
         launch(_add_up, sums.size, each, sums)
-        sums.copy_to_host(out[start:stop])
+        download(sums, out[start:stop])
 
 
 def _placed_parts(
@@ -70,7 +70,7 @@ def _placed_parts(
         placed = np.empty((len(part), 4))
         work = partial(_place, part, frame, resolution, placed)
         run_in_blocks(work, len(part), work_per_row=1.0 / PLACED_PER_WORK_UNIT)
-        yield start, start + len(part), cuda.to_device(placed)
+        yield start, start + len(part), upload(placed)
 
 
 def _place(

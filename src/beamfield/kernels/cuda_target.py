@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
+from math import prod
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -18,8 +19,11 @@ from numpy.typing import NDArray
 
 from beamfield.errors import InvalidInputError
 from beamfield.kernels.device import IN_SIMULATOR
+from beamfield.kernels.threads import run_in_blocks
 
 THREADS_PER_BLOCK = 128
+# The system hands out memory by pages; the first touch of one is worth so many units of work.
+PAGE_BYTES, WORK_PER_PAGE = 4096, 35.0
 # Numba warns the user of fewer; blocks without work end at once.
 LEAST_BLOCKS = 1 if IN_SIMULATOR else 128
 
@@ -53,10 +57,43 @@ def upload(table: NDArray[Any]) -> Any:
     InvalidInputError
         If there is too little of it.
     """
-    free = cuda.current_context().get_memory_info().free if not IN_SIMULATOR else np.inf
-    if table.nbytes > free:
-        raise InvalidInputError(f"device: expected {table.nbytes} bytes of free memory on the GPU, got {free}")
-    return cuda.to_device(table)
+    return _in_memory(partial(cuda.to_device, table), f"{table.nbytes} bytes of free memory")
+
+
+def allocate(*shape: int) -> Any:
+    """Return an array of float64 in the GPU's memory, not filled.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is too little of it.
+    """
+    return _in_memory(partial(cuda.device_array, shape, np.float64), f"{8 * prod(shape)} bytes of free memory")
+
+
+def _in_memory(call: Callable[[], Any], needed: str) -> Any:
+    try:
+        return call()
+    except Exception as error:  # of numba-cuda or of cuda-core
+        if "OUT_OF_MEMORY" not in str(error):
+            raise
+        free = cuda.current_context().get_memory_info().free
+        raise InvalidInputError(f"device: expected {needed} on the GPU, got {free} bytes") from error
+
+
+def download(source: Any, out: NDArray[Any]) -> None:
+    """Copy a flat array from the GPU's memory into out (n,), once it has been computed.
+
+    Mostly out is new, and to touch its pages for the first time takes one thread four times as long as the copy itself:
+    many threads do, while the GPU computes.
+    """
+    first_of_pages = out[:: PAGE_BYTES // out.itemsize]
+    run_in_blocks(partial(_touch, first_of_pages), first_of_pages.size, work_per_row=WORK_PER_PAGE)
+    source.copy_to_host(out)
+
+
+def _touch(pages: NDArray[Any], start: int, stop: int) -> None:
+    pages[start:stop] = 0
 
 
 def launch(kernel: Any, n: int, *args: Any) -> None:
@@ -66,8 +103,15 @@ def launch(kernel: Any, n: int, *args: Any) -> None:
 
 
 def launch_blocks(kernel: Any, n: int, threads: int, shared_bytes: int, *args: Any) -> None:
-    """Run a kernel in n blocks or more, each of so many threads that share memory."""
-    kernel[max(n, LEAST_BLOCKS), threads, 0, shared_bytes](*args)
+    """Run a kernel in n blocks or more, each of so many threads that share memory.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is too little memory for the variables of as many threads as the GPU runs at a time.
+    """
+    call = partial(kernel[max(n, LEAST_BLOCKS), threads, 0, shared_bytes], *args)
+    _in_memory(call, "free memory for the variables of its threads")
 
 
 def _on_device_too(value: Any) -> Any:

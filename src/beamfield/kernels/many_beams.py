@@ -22,7 +22,7 @@ from beamfield.kernels.beam import (
     log_mixture,
 )
 from beamfield.kernels.elementary import LOG2_E, ROUNDING, fused_exp_2
-from beamfield.kernels.jit import fused_kernel, inlined_fused_kernel, inlined_kernel, kernel
+from beamfield.kernels.jit import fused_kernel, inlined_fused_kernel, kernel
 
 Floats = NDArray[np.float64]
 
@@ -185,40 +185,41 @@ def fill_scan_log_likelihood(ranges: Floats, expected: Floats, view: BeamView, o
             for b in range(k):
                 z_star[i * k + b] = expected[start + i, b]
         _fill_quick(z, decay, z_star, at_limit, view, density)
-        for i in range(n):
-            out[start + i] = _sum_of_logs(density, i * k, ranges, z_star, view)
+        _fill_sums_of_logs(density, ranges, z_star, view, out[start : start + n])
 
 
-@inlined_kernel
-def _sum_of_logs(density: Floats, at: int, ranges: Floats, z_star: Floats, view: BeamView) -> float:
-    """Return the sum of the logarithms of densities from number `at` on, one for each range.
+@kernel
+def _fill_sums_of_logs(density: Floats, ranges: Floats, z_star: Floats, view: BeamView, out: Floats) -> None:
+    """Fill out (n,) with the sum of the logarithms of the densities (n k,) at each pose, one for each range.
 
-    `log_mixture` stands for those that are 0.
+    `log_mixture` stands for those that are 0. All poses in one call: to count who holds the arrays that are handed over
+    takes longer than the sum of a few.
     """
-    total, product = 0.0, 1.0
-    # Eight at a time: one test for all, and they need not wait for each other.
     k = ranges.size
     whole = k // 8 * 8
-    for j in range(at, at + whole, 8):
-        a = (density[j] * density[j + 1]) * (density[j + 2] * density[j + 3])
-        b = (density[j + 4] * density[j + 5]) * (density[j + 6] * density[j + 7])
-        # 0 if one of them is: they are at least SMALLEST_FACTOR, so that products of eight do not vanish.
-        factor = a * b
-        if not SMALL_PRODUCT < factor < LARGE_PRODUCT:
-            for i in range(j, j + 8):
-                total += _log_of(density[i], ranges[i - at], z_star[i], view)
-            continue
-        product *= factor
-        if not SMALL_PRODUCT < product < LARGE_PRODUCT:
-            total += math.log(product)
-            product = 1.0
-    for j in range(at + whole, at + k):
-        p = density[j]
-        if not SMALL_PRODUCT < p * product < LARGE_PRODUCT:
-            total += _log_of(p, ranges[j - at], z_star[j], view)
-        else:
-            product *= p
-    return total + math.log(product)
+    for i in range(out.size):
+        total, product, at = 0.0, 1.0, i * k
+        # Eight at a time: one test for all, and they need not wait for each other.
+        for j in range(at, at + whole, 8):
+            a = (density[j] * density[j + 1]) * (density[j + 2] * density[j + 3])
+            b = (density[j + 4] * density[j + 5]) * (density[j + 6] * density[j + 7])
+            # 0 if one of them is: they are at least SMALLEST_FACTOR, so that products of eight do not vanish.
+            factor = a * b
+            if not SMALL_PRODUCT < factor < LARGE_PRODUCT:
+                for m in range(j, j + 8):
+                    total += _log_of(density[m], ranges[m - at], z_star[m], view)
+                continue
+            product *= factor
+            if not SMALL_PRODUCT < product < LARGE_PRODUCT:
+                total += math.log(product)
+                product = 1.0
+        for j in range(at + whole, at + k):
+            p = density[j]
+            if not SMALL_PRODUCT < p * product < LARGE_PRODUCT:
+                total += _log_of(p, ranges[j - at], z_star[j], view)
+            else:
+                product *= p
+        out[i] = total + math.log(product)
 
 
 @kernel

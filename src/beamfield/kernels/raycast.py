@@ -32,8 +32,6 @@ DOUBT_PER_CELL = np.float32(12.0 * 2.0**-24)
 NOTHING = integer(0)
 # Loops over multiples of so many rays are vectorised to their end.
 LANES = integer(32)
-# Fewer beams of a pose are quicker aimed one by one.
-FEW = integer(4)
 # Jumps before a block hands its unfinished rays (10%) to the pool, and jumps of the pool between two clearances.
 FIRST_STEPS = integer(4)
 MORE_STEPS = integer(3)
@@ -103,18 +101,13 @@ def cast_fan(
             _aim_one(ray, n_placed, placed, fan)
             n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, n_placed, start, ranges)
             continue
-        for p in range(n_placed):
-            x, y, c, s = placed[p], placed[STRIDE + p], placed[2 * STRIDE + p], placed[3 * STRIDE + p]
-            first = NOTHING
-            while first < k:
-                count = min(k - first, BLOCK - filled)
-                _aim(ray, filled, count, x, y, c, s, fan, first, same_mount)
-                first += count
-                filled += count
-                if filled == BLOCK:
-                    n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, BLOCK, done, ranges)
-                    done += BLOCK
-                    filled = 0
+        pose, beam = NOTHING, NOTHING
+        while pose < n_placed:
+            pose, beam, filled = _aim(ray, filled, placed, pose, n_placed, fan, beam, same_mount)
+            if filled == BLOCK:
+                n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, BLOCK, done, ranges)
+                done += BLOCK
+                filled = 0
     if filled > 0:
         n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, filled, done, ranges)
     doubts += _finish_pool(scratch, n_free, terrain, ranges)
@@ -134,36 +127,43 @@ def _aim_one(ray: Floats, count: int, placed: Floats, fan: Floats) -> None:
 
 
 @inlined_kernel
-def _aim(
-    ray: Floats, to: int, count: int, x: float, y: float, c: float, s: float, fan: Floats, first: int, same_mount: bool
-) -> None:
-    """Fill starts and directions of `count` beams of one pose, from beam `first` on, into the block from `to` on."""
-    if count < FEW:
-        for b in range(count):
-            ray[COS + to + b] = c * fan[2, first + b] - s * fan[3, first + b]
-            ray[SIN + to + b] = s * fan[2, first + b] + c * fan[3, first + b]
-            beam_x, beam_y = fan[0, first + b], fan[1, first + b]
-            ray[CELL_X + to + b], ray[OFFSET_X + to + b] = split(x + (c * beam_x - s * beam_y))
-            ray[CELL_Y + to + b], ray[OFFSET_Y + to + b] = split(y + (s * beam_x + c * beam_y))
-        return
-    # Whole vectors of 8 beams: what they write too much is never read, or overwritten by the next pose.
-    n = (count + 7) // 8 * 8
-    fan_c, fan_s = fan[2, first : first + n], fan[3, first : first + n]
-    # Slices, because LLVM vectorises only if it knows that no index is negative.
-    to_c, to_s = ray[COS + to : COS + to + n], ray[SIN + to : SIN + to + n]
-    for b in range(n):
-        to_c[b] = c * fan_c[b] - s * fan_s[b]
-        to_s[b] = s * fan_c[b] + c * fan_s[b]
-    cell_x, offset_x = ray[CELL_X + to : CELL_X + to + n], ray[OFFSET_X + to : OFFSET_X + to + n]
-    cell_y, offset_y = ray[CELL_Y + to : CELL_Y + to + n], ray[OFFSET_Y + to : OFFSET_Y + to + n]
-    if same_mount:
-        cell_x[:], offset_x[:] = split(x + (c * fan[0, 0] - s * fan[1, 0]))
-        cell_y[:], offset_y[:] = split(y + (s * fan[0, 0] + c * fan[1, 0]))
-    else:
-        fan_x, fan_y = fan[0, first : first + n], fan[1, first : first + n]
+def _aim(ray: Floats, filled: int, placed: Floats, pose: int, n_placed: int, fan: Floats, beam: int, same_mount: bool
+         ) -> tuple[int, int, int]:  # fmt: skip
+    """Fill starts and directions into the block from `filled` on, until it is full or no placed pose is left.
+
+    The first is that of beam number `beam` of placed pose number `pose`; return both, and `filled`, as they are after
+    the last. Numba counts who holds an array at each call and each slice: to do so for each pose would take as long as
+    30 beams.
+    """
+    k = fan.shape[1] - 8
+    while pose < n_placed and filled < BLOCK:
+        x, y, c, s = placed[pose], placed[STRIDE + pose], placed[2 * STRIDE + pose], placed[3 * STRIDE + pose]
+        count = min(k - beam, BLOCK - filled)
+        # Whole vectors of 8 beams: what they write too much is never read, or overwritten by the next pose. LLVM
+        # vectorises only if it knows that no index is negative.
+        n, first = np.uintp((count + 7) // 8 * 8), np.uintp(beam)
+        to_c, to_s = np.uintp(COS + filled), np.uintp(SIN + filled)
         for b in range(n):
-            cell_x[b], offset_x[b] = split(x + (c * fan_x[b] - s * fan_y[b]))
-            cell_y[b], offset_y[b] = split(y + (s * fan_x[b] + c * fan_y[b]))
+            ray[to_c + b] = c * fan[2, first + b] - s * fan[3, first + b]
+            ray[to_s + b] = s * fan[2, first + b] + c * fan[3, first + b]
+        cell_x, offset_x = np.uintp(CELL_X + filled), np.uintp(OFFSET_X + filled)
+        cell_y, offset_y = np.uintp(CELL_Y + filled), np.uintp(OFFSET_Y + filled)
+        if same_mount:
+            column, beyond_column = split(x + (c * fan[0, 0] - s * fan[1, 0]))
+            row, beyond_row = split(y + (s * fan[0, 0] + c * fan[1, 0]))
+            for b in range(n):
+                ray[cell_x + b], ray[offset_x + b] = column, beyond_column
+                ray[cell_y + b], ray[offset_y + b] = row, beyond_row
+        else:
+            for b in range(n):
+                fan_x, fan_y = fan[0, first + b], fan[1, first + b]
+                ray[cell_x + b], ray[offset_x + b] = split(x + (c * fan_x - s * fan_y))
+                ray[cell_y + b], ray[offset_y + b] = split(y + (s * fan_x + c * fan_y))
+        beam += count
+        filled += count
+        if beam == k:
+            pose, beam = pose + 1, NOTHING
+    return pose, beam, filled
 
 
 @kernel

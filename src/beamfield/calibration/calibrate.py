@@ -50,6 +50,7 @@ from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.sensors.robot_in_sight import robot_in_sight
 from beamfield.short_repr import short_repr
 
 if TYPE_CHECKING:
@@ -260,6 +261,7 @@ def calibrate(
         *selection_findings(selection),
         *score_findings(scores),
         *noise_findings(fit, table),
+        *robot_in_sight(log),
         *cone_findings(log),
         *left_out_findings(table, log),
         *blind_findings(table, log),

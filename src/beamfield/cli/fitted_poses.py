@@ -48,6 +48,7 @@ def posed_log(
     from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import fit_poses
     from beamfield.maps.range_scale import require_metres
+    from beamfield.sensors.robot_in_sight import robot_in_sight
 
     if not has_poses(sensor, start):
         fitted = fit_in_map(fit_poses, sensor, grid, arguments, progress, path=path, start=start)
@@ -59,7 +60,7 @@ def posed_log(
         better = instead_of_own(sensor, grid, found, progress)
         if better is not None:
             return better.log, better, better.findings()
-    return sensor, None, found
+    return sensor, None, (*found, *robot_in_sight(sensor))
 
 
 def posed_as_asked(

@@ -14,6 +14,7 @@ from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.printable import printable
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
+from beamfield.sensors.robot_in_sight import robot_in_sight
 
 Facts = dict[str, Any]
 
@@ -48,11 +49,12 @@ def log_facts(log: ScanLog) -> Facts:
     odometry = None
     if log.odometry is not None:
         odometry = {"poses": len(log.odometry), **_timing(log.odometry.stamps), **_path(log.odometry.poses)}
+    seen = [(name, found) for name, sensor in log.sensors.items() for found in robot_in_sight(sensor)]
     return {
         "kind": "log",
         "sensors": {name: _sensor_facts(sensor) for name, sensor in log.sensors.items()},
         "odometry": odometry,
-        "notes": list(log.notes),
+        "notes": [*log.notes, *(f"{name}: {found.full_text}" for name, found in seen)],
         "parameters": dict(log.parameters),
     }
 

@@ -26,6 +26,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.outdated_map import find_outdated_map
 from beamfield.maps.range_scale import require_metres
 from beamfield.sensors import SensorLog
+from beamfield.sensors.robot_in_sight import robot_in_sight
 from beamfield.short_repr import short_repr
 
 Progress = Callable[[str, int, int], None]
@@ -228,7 +229,7 @@ def fit_course(
     if wrong is not None:
         # Scans from another time or place look like slips.
         seen = [wrong, *(one for one in seen if one.name != "wheel-slip")]
-    findings = [*found.findings, *seen, *more]
+    findings = [*found.findings, *seen, *more, *robot_in_sight(log)]
     if (outdated := find_outdated_map(log, grid, fitted.poses)) is not None:
         findings.append(outdated)
     return _result(log, fitted, turns, trusted, findings, found.hypotheses)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from beamfield.errors import InvalidInputError
 from beamfield.finding import Finding
+from beamfield.sensors.robot_in_sight import robot_in_sight
 from beamfield.stacks.doctor.subject import Subject
 
 # With fewer readings that end at a wall, one scan hardly tells a pose.
@@ -39,6 +40,12 @@ def beam_count(subject: Subject) -> Iterator[Finding]:
             "it steps over beams by a whole number",
             "plan with the number that is used", parameter="max_beams", values={"used": used, "max_beams": asked},
         )  # fmt: skip
+
+
+def own_body(subject: Subject) -> Iterator[Finding]:
+    """Find beams that see the robot itself."""
+    if subject.log is not None:
+        yield from robot_in_sight(subject.log)
 
 
 def usable_beams(subject: Subject) -> Iterator[Finding]:

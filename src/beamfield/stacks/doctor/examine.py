@@ -41,6 +41,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     weight_checks.distance_limit,
     range_checks.range_limits,
     beam_checks.usable_beams,
+    beam_checks.own_body,
     range_checks.short_limit,
     range_checks.unreachable_z_max,
     map_checks.lost_cells,

@@ -63,8 +63,8 @@ def _scans_apart(log: SensorLog) -> NDArray[np.intp]:
     quarter = np.floor(wrap_angle(poses[first, 2]) / (0.5 * np.pi)).astype(int)
     if np.count_nonzero(np.bincount(quarter + 2) >= SCANS_IN_QUARTER) < QUARTERS:
         return known[:0]
-    few = first[np.linspace(0, len(first) - 1, min(len(first), SCANS)).astype(int)]
-    return known[few]
+    few = np.linspace(0, len(first) - 1, min(len(first), SCANS)).astype(int)
+    return np.asarray(known[first[few]])
 
 
 def _sectors(bearings: FloatArray, chosen: NDArray[np.bool_]) -> str:

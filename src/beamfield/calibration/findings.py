@@ -11,19 +11,18 @@ from beamfield.calibration.beam_table import BeamTable
 from beamfield.calibration.evaluation import ModelScore
 from beamfield.calibration.selection import Selection
 from beamfield.finding import Finding
-from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import SensorLog
+from beamfield.sensors.sectors import sectors
 
 # A fit that gains less than this per held-out beam (nats) over a uniform has learned hardly anything from the map: with
 # maps of other places the gain is 0 to 0.3, good fits on real logs gain 2 to 5.
 LEAST_GAIN_OVER_UNIFORM = 0.5
 # More readings without a measurement than this are worth a word: they may be meant as "no return".
 NOTABLE_SHARE_LEFT_OUT = 0.03
-# A beam is judged by so many readings, and blind where fewer than this share return. More sectors do not help.
+# A beam is judged by so many readings, and blind where fewer than this share return.
 FEWEST_OF_A_BEAM = 50
 MOST_OF_A_BLIND_BEAM = 0.01
-MOST_SECTORS = 5
 # Noise of a hit beyond this share of its range is of no range sensor: it is 0.14 in Wean Hall, whose walls are drawn
 # worst of our maps, 0.33 there with mirrored scans, and 1.1 in the mirror image of the map.
 WIDEST_NOISE = 0.25
@@ -132,14 +131,8 @@ def blind_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
     blind = judged & (returned < MOST_OF_A_BLIND_BEAM * expected)
     if not blind.any() or returned[judged].sum() < 0.5 * expected[judged].sum():
         return
-    runs = np.split(np.flatnonzero(blind), np.flatnonzero(np.diff(np.flatnonzero(blind)) > 1) + 1)
-    sectors = [_sector(log.finder.bearings[run]) for run in runs]
-    shown = ", ".join(
-        f"{run[0]}..{run[-1]} (bearings {first:g} to {last:g} degrees)"
-        for run, (first, last) in zip(runs[:MOST_SECTORS], sectors, strict=False)
-    ) + (f" and {len(runs) - MOST_SECTORS} more sectors" if len(runs) > MOST_SECTORS else "")
+    shown, options = sectors(log.finder.bearings, blind)
     share = float(expected[blind].sum() / hits.sum())
-    options = " ".join(f"--mask={first:g}:{last:g}" for first, last in sectors[:MOST_SECTORS])
     yield Finding(
         "blind-beams",
         "warning",
@@ -148,13 +141,6 @@ def blind_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
         why=f"They are {share:.1%} of the readings and count in z_max.",
         do=f"Mask them ({options}).",
     )
-
-
-def _sector(bearings: FloatArray) -> tuple[float, float]:
-    """Return the ends of neighbouring bearings, counter-clockwise, in degrees rounded outwards."""
-    degrees = np.degrees(np.unwrap(bearings))
-    first, last = math.floor(10.0 * degrees.min() - 1e-6) / 10.0, math.ceil(10.0 * degrees.max() + 1e-6) / 10.0
-    return (first + 180.0) % 360.0 - 180.0, (last + 180.0) % 360.0 - 180.0
 
 
 def table_findings(table: BeamTable) -> Iterator[Finding]:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.finding import Finding
-from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.geometry import wrap_angle
+from beamfield.sensors.sectors import sectors
 from beamfield.sensors.sensor_log import SensorLog
 
 # Scans from this far or this many radians on see something else.
@@ -18,8 +19,8 @@ QUARTERS, SCANS_IN_QUARTER = 3, 5
 # A beam's readings are the same within this much and this share of them: at most a third on 22 real logs.
 SAME_M, SAME_SHARE = 0.02, 0.025
 MOST = 0.8
-# Scans that are looked at, and sectors that are named.
-SCANS, SECTORS = 400, 4
+# Scans that are looked at.
+SCANS = 400
 
 
 def robot_in_sight(log: SensorLog) -> Iterator[Finding]:
@@ -38,16 +39,18 @@ def robot_in_sight(log: SensorLog) -> Iterator[Finding]:
     same = seen & (np.mean(np.abs(ranges - usual) <= SAME_M + SAME_SHARE * usual, axis=0) >= MOST)
     if not same.any():
         return
+    shown, options = sectors(log.finder.bearings, same)
     low, high = float(usual[same].min()), float(usual[same].max())
     metres = f"{high:.2f} m" if high - low < SAME_M else f"{low:.2f} to {high:.2f} m"
     yield Finding(
         "robot-in-sight",
         "warning",
-        f"Beams at {_sectors(log.finder.mounts[:, 2], same)} read {metres} wherever the robot was.",
+        f"Beams {shown} read {metres} wherever the robot was: they see the robot itself, or, if the laser is tilted, "
+        "the floor.",
         {"share_of_beams": float(same.mean()), "least_m": low, "most_m": high},
-        why="They see the robot itself, or the floor where the laser is tilted: to a filter, walls or people.",
-        do="Take these readings out of the scan (in ROS, LaserScanBoxFilter of laser_filters leaves out what is within "
-        "the robot), or level the laser.",
+        why="To a filter these are walls or people.",
+        do=f"Mask them here ({options}) and on the robot (ROS: LaserScanBoxFilter of laser_filters leaves out what is "
+        "within the robot), or level the laser.",
     )
 
 
@@ -65,12 +68,3 @@ def _scans_apart(log: SensorLog) -> NDArray[np.intp]:
         return known[:0]
     few = np.linspace(0, len(first) - 1, min(len(first), SCANS)).astype(int)
     return np.asarray(known[first[few]])
-
-
-def _sectors(bearings: FloatArray, chosen: NDArray[np.bool_]) -> str:
-    """Return the bearings of neighbouring beams that are chosen, in degrees."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int))).reshape(-1, 2) - [0, 1]
-    degrees = np.degrees(bearings)
-    said = [f"{degrees[a]:.0f}" if a == b else f"{degrees[a]:.0f} to {degrees[b]:.0f}" for a, b in ends]
-    more = f" and {len(said) - SECTORS} more sectors" if len(said) > SECTORS else ""
-    return f"{', '.join(said[:SECTORS])} degrees{more}"

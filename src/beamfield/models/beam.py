@@ -75,7 +75,7 @@ class BeamModel(RangeMixtureModel):
         Where the expected ranges come from: a `RayCaster` that is there already, or a `RangeTable`, which is quicker
         for very many poses and less exact (6.3.4); None: a new `RayCaster`.
     device
-        Where `log_likelihood` is computed: "cpu", or "cuda", a GPU (docs/raycasting.md), where `expected` casts too.
+        Where `log_likelihood` is computed: "cpu", or "cuda", a GPU (docs/gpu.md), where `expected` casts too.
         All else is computed on the CPU.
 
     Raises

@@ -90,7 +90,7 @@ class LikelihoodFieldModel:
         Use only so many beams of each scan: about equally spaced among those that have an end point, so that NaN, too
         close and max-range readings do not use up the number. None: all, or what the parameters bring.
     device
-        Where `log_likelihood` looks up: "cpu", or "cuda", a GPU, for "nearest" only (docs/raycasting.md). All else is
+        Where `log_likelihood` looks up: "cpu", or "cuda", a GPU, for "nearest" only (docs/gpu.md). All else is
         computed on the CPU.
 
     Raises

@@ -139,7 +139,7 @@ def learn_intrinsic_parameters(
     weights
         How often each beam counts, shape (n,), >= 0; None for once.
     device
-        Where passes over all beams run: "cpu", or "cuda", a GPU (docs/raycasting.md).
+        Where passes over all beams run: "cpu", or "cuda", a GPU (docs/gpu.md).
     progress
         Called with the stage (``"screening"``, ``"climbing"``) and a count.
 

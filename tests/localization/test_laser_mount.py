@@ -83,10 +83,15 @@ def test_a_scanner_stamped_late_is_not_taken_for_one_mounted_elsewhere(tour: Sen
     assert mount_of_fit(replace(tour, odometry=odometry), tour.poses) is None
 
 
-def test_aligned_scans_tell_a_mount_without_poses(tour: SensorLog):
-    found = mount_of_scans(mounted(tour, (0.3, 0.1, 105.0)))
+@pytest.mark.parametrize(("mount", "degrees"), [((0.3, 0.1, 105.0), 90.0), ((0.0, -0.1, -165.0), 180.0)])
+def test_aligned_scans_tell_a_mount_without_poses(tour: SensorLog, mount: tuple[float, float, float], degrees: float):
+    found = mount_of_scans(mounted(tour, mount))
     assert found is not None
-    assert found.values["turn_rad"] == pytest.approx(-np.pi / 2, abs=0.02)
+    assert abs(np.degrees(found.values["turn_rad"])) == pytest.approx(degrees, abs=1.2)
+    assert ("or the direction of the odometry" in found.do) == (degrees == 180.0)
+
+
+def test_aligned_scans_name_no_right_mount_and_no_small_error(tour: SensorLog):
     assert mount_of_scans(tour) is None
     assert mount_of_scans(mounted(tour, (0.3, 0.1, 10.0))) is None  # so little hides no trajectory
 

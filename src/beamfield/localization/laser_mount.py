@@ -54,11 +54,15 @@ def mount_of_fit(log: SensorLog, fitted: FloatArray) -> Finding | None:
     begin, end = _motions(log, WAY, np.inf)
     if len(begin) < FEWEST:
         return None
-    return _finding(log, _compared(log, begin, end, between(fitted[begin], fitted[end])), LEAST_TURN, LEAST_OFFSET)
+    motions = _compared(log, begin, end, between(fitted[begin], fitted[end]))
+    return _finding(log, motions, LEAST_TURN, LEAST_OFFSET, or_reversed=False)
 
 
 def mount_of_scans(log: SensorLog) -> Finding | None:
-    """Do what `mount_of_fit` does without poses, for large errors: neighbouring scans are aligned, 8 ms each."""
+    """Do what `mount_of_fit` does without poses, for large errors: neighbouring scans are aligned, 8 ms each.
+
+    A laser turned by 180 degrees is named, too: a trajectory with the odometry's direction reversed was looked for.
+    """
     begin, end = _motions(log, ALIGNED_WAY, LONGEST_STEP)
     chosen = np.unique(np.linspace(0, len(begin) - 1, min(MOST_PAIRS, len(begin))).round().astype(np.int64))
     begin, end = begin[chosen], end[chosen]
@@ -68,7 +72,8 @@ def mount_of_scans(log: SensorLog) -> Finding | None:
     good = np.isfinite(steps).all(axis=1)
     if good.sum() < FEWEST:
         return None
-    return _finding(log, _compared(log, begin[good], end[good], steps[good]), ALIGNED_TURN, ALIGNED_OFFSET)
+    motions = _compared(log, begin[good], end[good], steps[good])
+    return _finding(log, motions, ALIGNED_TURN, ALIGNED_OFFSET, or_reversed=True)
 
 
 def _motions(log: SensorLog, way: float, longest: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -122,7 +127,9 @@ def _solve(motions: _Motions) -> tuple[Pose, float]:
     return (ahead, aside, turned), left
 
 
-def _finding(log: SensorLog, motions: _Motions, least_turn: float, least_offset: float) -> Finding | None:
+def _finding(
+    log: SensorLog, motions: _Motions, least_turn: float, least_offset: float, *, or_reversed: bool
+) -> Finding | None:
     (ahead, aside, turned), left = _solve(motions)
     part = np.arange(len(motions.scans)) * PARTS // len(motions.scans)
     others = [_solve(_Motions(motions.odometry[part != k], motions.scans[part != k], 0.0))[0] for k in range(PARTS)]
@@ -132,18 +139,20 @@ def _finding(log: SensorLog, motions: _Motions, least_turn: float, least_offset:
     offset, doubt = math.hypot(ahead, aside), SIGMAS * float(np.hypot(*deviation[:2]))
     is_turned = abs(turned) > max(least_turn, SIGMAS * float(deviation[2]))
     is_moved = offset > max(least_offset + UNNAMED_DELAY * motions.speed, doubt)
-    is_reversed = abs(turned) > REVERSED and not is_moved
-    if not (is_turned or is_moved) or left > LEFT or is_reversed or not _turn_alike(motions):
+    is_either = abs(turned) > REVERSED and not is_moved
+    if not (is_turned or is_moved) or left > LEFT or (is_either and not or_reversed) or not _turn_alike(motions):
         return None
     said = _place(log, ahead, aside, turned, max(KNOWN, doubt) if is_turned else 0.0)
     if is_turned:
         side = "left" if turned > 0.0 else "right"
         said.append(f"is turned by {abs(math.degrees(turned)):.1f} degrees to the {side} of what its mount says")
+    or_odometry = ", or the direction of the odometry" if is_either else ""
     return Finding(
         "laser-mount", "warning", f"Scans and odometry agree if the laser {', and '.join(said)}.",
         {"ahead_m": ahead, "left_m": aside, "turn_rad": turned},
         why="With a wrong mount poses are off by as much, and the odometry pulls any filter off the scans.",
-        do="Correct the laser's transform (URDF, /tf_static); for this log, give the mount with --mount X Y YAW.",
+        do=f"Correct the laser's transform (URDF, /tf_static){or_odometry}; for this log, give the mount with --mount "
+        "X Y YAW.",
     )  # fmt: skip
 
 

@@ -298,14 +298,13 @@ def test_a_map_whose_yaw_the_program_ignores_gets_no_values():
     assert part.files == {}
 
 
-def test_where_the_lasers_mount_is_wrong_no_values_are_found_that_make_up_for_it():
+@pytest.mark.parametrize(("name", "what"), [("laser-mount", "laser's mount"), ("scan-delay", "scans' stamps")])
+def test_where_the_lasers_mount_or_stamps_are_wrong_no_values_are_found_that_make_up_for_it(name: str, what: str):
     upright = SimpleNamespace(origin=np.zeros(3))
     job = SimpleNamespace(arguments=SimpleNamespace(stack="nav2"), patched=None)
-    found = Finding("laser-mount", "warning", "It sits elsewhere.", do="Correct its transform.")
+    found = Finding(name, "warning", "It is wrong.", do="Correct it.")
     part = fit_for_stack(job, None, upright, SimpleNamespace(findings=(found,)), {})
-    assert part.problem == (
-        "no values for nav2: correct the laser's mount first: It sits elsewhere. Correct its transform."
-    )
+    assert part.problem == f"no values for nav2: correct the {what} first: It is wrong. Correct it."
     assert part.files == {}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -17,6 +18,7 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.log import simulate_log
 from tests.conftest import TRUTH
 
+OF_THE_POSES = ("weak-stretch", "poor-fit-stretch")
 TRUE_MOUNT = np.array([0.3, 0.1, np.radians(15.0)])
 
 
@@ -61,7 +63,14 @@ def test_the_finding_says_where_the_laser_is(tour: SensorLog):
     )
 
 
-@pytest.mark.parametrize("mount", [(0.3, 0.1, 15.0), (0.32, 0.08, 13.0), (0.3, 0.1, -165.0)])
+def test_a_laser_turned_where_it_sits_is_said_to_be_turned_only(tour: SensorLog):
+    log = mounted(tour, (0.3, 0.1, -165.0))
+    found = mount_of_fit(log, log.poses)
+    assert found is not None
+    assert re.match("Scans and odometry agree if the laser is turned by 1(79|80)[.]. degrees to the ", found.text)
+
+
+@pytest.mark.parametrize("mount", [(0.3, 0.1, 15.0), (0.32, 0.08, 13.0), (-0.3, -0.1, -165.0)])
 def test_a_right_mount_a_small_error_and_one_like_reversed_odometry_are_not_named(
     tour: SensorLog, mount: tuple[float, float, float]
 ):
@@ -74,10 +83,15 @@ def test_a_scanner_stamped_late_is_not_taken_for_one_mounted_elsewhere(tour: Sen
     assert mount_of_fit(replace(tour, odometry=odometry), tour.poses) is None
 
 
-def test_aligned_scans_tell_a_mount_without_poses(tour: SensorLog):
-    found = mount_of_scans(mounted(tour, (0.3, 0.1, 105.0)))
+@pytest.mark.parametrize(("mount", "degrees"), [((0.3, 0.1, 105.0), 90.0), ((0.0, -0.1, -165.0), 180.0)])
+def test_aligned_scans_tell_a_mount_without_poses(tour: SensorLog, mount: tuple[float, float, float], degrees: float):
+    found = mount_of_scans(mounted(tour, mount))
     assert found is not None
-    assert found.values["turn_rad"] == pytest.approx(-np.pi / 2, abs=0.02)
+    assert abs(np.degrees(found.values["turn_rad"])) == pytest.approx(degrees, abs=1.2)
+    assert ("or the direction of the odometry" in found.do) == (degrees == 180.0)
+
+
+def test_aligned_scans_name_no_right_mount_and_no_small_error(tour: SensorLog):
     assert mount_of_scans(tour) is None
     assert mount_of_scans(mounted(tour, (0.3, 0.1, 10.0))) is None  # so little hides no trajectory
 
@@ -93,11 +107,16 @@ def test_too_short_a_drive_says_nothing(tour: SensorLog):
     assert mount_of_scans(log.select(np.arange(10))) is None
 
 
-def test_a_trajectory_names_the_mount_in_place_of_slips(tour: SensorLog, office: OccupancyGrid):
-    log = mounted(tour, (0.0, 0.0, 0.0))
-    names = [one.name for one in fit_trajectory(log, office, start=log.poses[0]).findings]
-    assert names[0] == "laser-mount"
-    assert "wheel-slip" not in names
+@pytest.mark.parametrize(
+    ("mount", "expected"),
+    [((0.0, 0.0, 0.0), "laser-mount"), ((0.0, -0.1, -165.0), "laser-mount"), ((-0.15, -0.05, -165.0), "odometry-sign")],
+)
+def test_a_trajectory_names_the_mount_or_the_sign_alone(
+    tour: SensorLog, office: OccupancyGrid, mount: tuple[float, float, float], expected: str
+):
+    log = mounted(tour, mount)
+    fit = fit_trajectory(log, office, start=log.poses[0])
+    assert [one.name for one in fit.findings if one.name not in OF_THE_POSES] == [expected]
 
 
 def test_where_no_trajectory_is_found_the_error_names_the_mount(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import TrajectoryNotFoundError
-from beamfield.geometry import interpolate_poses
+from beamfield.geometry import FloatArray, interpolate_poses
 from beamfield.localization.scan_delay import scan_delay
 from beamfield.localization.trajectory import fit_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
@@ -31,7 +31,7 @@ def fewer_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("beamfield.localization.scan_delay.MOST_PAIRS", 100)
 
 
-def stamped_late(log: SensorLog, seconds: float) -> SensorLog:
+def stamped_late(log: SensorLog, seconds: float | FloatArray) -> SensorLog:
     """Return a log whose scans bear later stamps: beside each is then the odometry of a later time."""
     stamps = log.stamps + seconds
     odometry = interpolate_poses(log.stamps, log.odometry, stamps.clip(log.stamps[0], log.stamps[-1]))
@@ -39,7 +39,13 @@ def stamped_late(log: SensorLog, seconds: float) -> SensorLog:
     return replace(log, stamps=stamps, odometry=odometry, poses=np.full_like(log.poses, np.nan))
 
 
-@pytest.mark.parametrize("seconds", [0.3, -0.4])
+def jumping(log: SensorLog, seconds: float) -> SensorLog:
+    """Return a log whose scans bear later stamps in its second half."""
+    late = stamped_late(log, np.where(np.arange(len(log)) < len(log) // 2, 0.0, seconds))
+    return late.select(np.flatnonzero(np.isfinite(late.odometry).all(axis=1)))
+
+
+@pytest.mark.parametrize("seconds", [0.3, -0.4, 0.15, -0.15])
 def test_a_delay_is_measured_and_has_a_sign(tour: SensorLog, seconds: float):
     found = scan_delay(stamped_late(tour, seconds))
     assert found is not None
@@ -49,7 +55,7 @@ def test_a_delay_is_measured_and_has_a_sign(tour: SensorLog, seconds: float):
     assert f"shifted by {sign}{abs(found.values['delay_s']):.2f} s" in found.text
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.08])
+@pytest.mark.parametrize("seconds", [0.0, 0.1, -0.1])
 def test_good_stamps_and_small_delays_are_not_named(tour: SensorLog, seconds: float):
     assert scan_delay(stamped_late(tour, seconds)) is None
 
@@ -86,3 +92,21 @@ def test_a_drive_that_is_not_found_for_its_stamps_is_said_to_have_them(
         fit_trajectory(stamped_late(tour, 0.4), office)
     with pytest.raises(TrajectoryNotFoundError, match=r"fits the log$"):
         fit_trajectory(tour, office)
+
+
+@pytest.mark.parametrize("seconds", [1.5, 0.5])
+def test_a_clock_that_jumps_is_named_with_when_and_by_how_much(tour: SensorLog, seconds: float):
+    found = scan_delay(jumping(tour, seconds))
+    assert found is not None
+    assert found.values["delay_s"] == pytest.approx(seconds, abs=0.05)
+    assert abs(found.values["before_s"]) < 0.05
+    assert found.values["time_s"] == pytest.approx(30.0, abs=5.0)
+    assert found.text.startswith("A clock jumped, about ")
+
+
+def test_where_poses_seem_to_slip_scans_are_aligned_though_the_poses_show_no_delay(
+    tour: SensorLog, office: OccupancyGrid, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("beamfield.localization.scan_delay._is_hinted", Mock(return_value=False))
+    fit = fit_trajectory(stamped_late(tour, 0.4), office, start=tour.poses[0])
+    assert fit.findings[0].name == "scan-delay"

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 # Nats of a window that the best values must have on the map that the log belongs to. So much is known by who knows only
 # that the robot is at the reference, not elsewhere on the map: its prior is a half.
 LEAST_SCORE = math.log(2.0)
+# Findings for which values would make up, and be wrong once the robot is right; and what to correct.
+MENDED_FIRST = {"laser-mount": "laser's mount", "scan-delay": "scans' stamps"}
 
 
 def add_stack_options(parser: argparse.ArgumentParser) -> None:
@@ -179,9 +181,8 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
                 f"{finding.text.partition(';')[0].lower()}; the robot's filter takes it as it is and gets lost, "
                 f"whatever the values. {finding.do}"
             )
-        if finding.name == "laser-mount":
-            # Values would make up for it, and be wrong once the mount is right.
-            raise TooLittleDataError(f"correct the laser's mount first: {finding.text} {finding.do}")
+        if (wrong := MENDED_FIRST.get(finding.name)) is not None:
+            raise TooLittleDataError(f"correct the {wrong} first: {finding.text} {finding.do}")
     models = tuple(stack.models) if arguments.model is None else (arguments.model,)
     if file is not None:
         is_flat = not stack.model(file.model).weight.is_product

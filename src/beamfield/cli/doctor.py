@@ -19,12 +19,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import OF_THE_ROBOT, posed_as_asked
+from beamfield.cli.fitted_poses import posed_as_asked
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.wording import in_options
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+from beamfield.localization.robot_faults import OF_THE_ROBOT
 from beamfield.printable import printable
 
 if TYPE_CHECKING:

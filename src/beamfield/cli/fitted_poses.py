@@ -18,6 +18,7 @@ from beamfield.errors import (
     TrajectoryNotFoundError,
     about_file,
 )
+from beamfield.localization.robot_faults import OF_THE_ROBOT
 
 if TYPE_CHECKING:
     from beamfield.finding import Finding
@@ -31,8 +32,6 @@ Start = tuple[float, float, float] | None
 NO_POSE = "no scan has a reference pose"
 # What refutes a log's own poses.
 REFUTED = ("map-disagrees", "map-disagrees-in-part", "reference-slides", "reference-stands-still")
-# What is wrong with the robot, and looks like slipping wheels at poses that its own filter made of it.
-OF_THE_ROBOT = ("odometry-sign", "laser-mount", "scan-delay")
 
 
 def posed_log(

@@ -28,7 +28,7 @@ ALIGNED_TURN, ALIGNED_OFFSET = math.radians(15.0), 0.3
 # Beside a turn the position is named from here on, metres.
 KNOWN = 0.05
 # Share of the squared differences between scans and odometry that may be left, and of those in turning, where mirrored
-# scans differ. A laser turned by 180 degrees is as odometry whose direction is reversed.
+# scans differ. Turned by 180 degrees about the robot's centre, a laser is as odometry whose direction is reversed.
 LEFT, REVERSED = 0.5, math.radians(177.0)
 ROUNDS = 10
 
@@ -45,7 +45,8 @@ def mount_of_fit(log: SensorLog, fitted: FloatArray) -> Finding | None:
     """Compare the odometry with poses (t, 3) that were fitted to the map; return a finding if the mount is wrong.
 
     The finding, "laser-mount", is a warning that says where the laser seems to be. None if its mount is right, turned
-    by 180 degrees (which looks like odometry whose direction is reversed), or cannot be told from this log.
+    by 180 degrees about the robot's centre (which looks like odometry whose direction is reversed), or cannot be told
+    from this log.
 
     Let E be the pose of the laser's true mount against the one assumed. Poses fitted to the scans are the robot's times
     E, so that a motion O of the robot appears as E^-1 O E. This is linear in four numbers, as plane rotations commute.
@@ -53,11 +54,15 @@ def mount_of_fit(log: SensorLog, fitted: FloatArray) -> Finding | None:
     begin, end = _motions(log, WAY, np.inf)
     if len(begin) < FEWEST:
         return None
-    return _finding(log, _compared(log, begin, end, between(fitted[begin], fitted[end])), LEAST_TURN, LEAST_OFFSET)
+    motions = _compared(log, begin, end, between(fitted[begin], fitted[end]))
+    return _finding(log, motions, LEAST_TURN, LEAST_OFFSET, or_reversed=False)
 
 
 def mount_of_scans(log: SensorLog) -> Finding | None:
-    """Do what `mount_of_fit` does without poses, for large errors: neighbouring scans are aligned, 8 ms each."""
+    """Do what `mount_of_fit` does without poses, for large errors: neighbouring scans are aligned, 8 ms each.
+
+    A laser turned by 180 degrees is named, too: a trajectory with the odometry's direction reversed was looked for.
+    """
     begin, end = _motions(log, ALIGNED_WAY, LONGEST_STEP)
     chosen = np.unique(np.linspace(0, len(begin) - 1, min(MOST_PAIRS, len(begin))).round().astype(np.int64))
     begin, end = begin[chosen], end[chosen]
@@ -67,7 +72,8 @@ def mount_of_scans(log: SensorLog) -> Finding | None:
     good = np.isfinite(steps).all(axis=1)
     if good.sum() < FEWEST:
         return None
-    return _finding(log, _compared(log, begin[good], end[good], steps[good]), ALIGNED_TURN, ALIGNED_OFFSET)
+    motions = _compared(log, begin[good], end[good], steps[good])
+    return _finding(log, motions, ALIGNED_TURN, ALIGNED_OFFSET, or_reversed=True)
 
 
 def _motions(log: SensorLog, way: float, longest: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -121,7 +127,9 @@ def _solve(motions: _Motions) -> tuple[Pose, float]:
     return (ahead, aside, turned), left
 
 
-def _finding(log: SensorLog, motions: _Motions, least_turn: float, least_offset: float) -> Finding | None:
+def _finding(
+    log: SensorLog, motions: _Motions, least_turn: float, least_offset: float, *, or_reversed: bool
+) -> Finding | None:
     (ahead, aside, turned), left = _solve(motions)
     part = np.arange(len(motions.scans)) * PARTS // len(motions.scans)
     others = [_solve(_Motions(motions.odometry[part != k], motions.scans[part != k], 0.0))[0] for k in range(PARTS)]
@@ -131,17 +139,20 @@ def _finding(log: SensorLog, motions: _Motions, least_turn: float, least_offset:
     offset, doubt = math.hypot(ahead, aside), SIGMAS * float(np.hypot(*deviation[:2]))
     is_turned = abs(turned) > max(least_turn, SIGMAS * float(deviation[2]))
     is_moved = offset > max(least_offset + UNNAMED_DELAY * motions.speed, doubt)
-    if not (is_turned or is_moved) or left > LEFT or abs(turned) > REVERSED or not _turn_alike(motions):
+    is_either = abs(turned) > REVERSED and not is_moved
+    if not (is_turned or is_moved) or left > LEFT or (is_either and not or_reversed) or not _turn_alike(motions):
         return None
-    said = [_place(log, ahead, aside, turned)] if is_moved or offset > max(KNOWN, doubt) else []
+    said = _place(log, ahead, aside, turned, max(KNOWN, doubt) if is_turned else 0.0)
     if is_turned:
         side = "left" if turned > 0.0 else "right"
         said.append(f"is turned by {abs(math.degrees(turned)):.1f} degrees to the {side} of what its mount says")
+    or_odometry = ", or the direction of the odometry" if is_either else ""
     return Finding(
         "laser-mount", "warning", f"Scans and odometry agree if the laser {', and '.join(said)}.",
         {"ahead_m": ahead, "left_m": aside, "turn_rad": turned},
         why="With a wrong mount poses are off by as much, and the odometry pulls any filter off the scans.",
-        do="Correct the laser's transform (URDF, /tf_static); for this log, give the mount with --mount X Y YAW.",
+        do=f"Correct the laser's transform (URDF, /tf_static){or_odometry}; for this log, give the mount with --mount "
+        "X Y YAW.",
     )  # fmt: skip
 
 
@@ -150,9 +161,15 @@ def _turn_alike(motions: _Motions) -> bool:
     return bool(np.sum(wrap_angle(motions.scans[:, 2] - turns) ** 2) <= LEFT * np.sum(turns**2))
 
 
-def _place(log: SensorLog, ahead: float, aside: float, turned: float) -> str:
+def _place(log: SensorLog, ahead: float, aside: float, turned: float, least: float) -> list[str]:
+    """Say where the laser sits, if that is further than `least` from where its mount puts it."""
     mounts = log.finder.mounts[:, :2]
     if np.ptp(mounts, axis=0).any():  # scans merged of several lasers
-        return f"sits {ahead:+.2f} m ahead and {aside:+.2f} m to the left of where its mount puts it"
-    x, y, _ = after_step((ahead, aside, turned), (float(mounts[0, 0]), float(mounts[0, 1]), 0.0))
-    return f"sits at ({x:.2f} m, {y:.2f} m) on the robot, not at ({mounts[0, 0]:.2f} m, {mounts[0, 1]:.2f} m)"
+        away = math.hypot(ahead, aside)
+        text = f"sits {ahead:+.2f} m ahead and {aside:+.2f} m to the left of where its mount puts it"
+    else:
+        at_x, at_y = float(mounts[0, 0]), float(mounts[0, 1])
+        x, y, _ = after_step((ahead, aside, turned), (at_x, at_y, 0.0))
+        away = math.hypot(x - at_x, y - at_y)
+        text = f"sits at ({x:.2f} m, {y:.2f} m) on the robot, not at ({at_x:.2f} m, {at_y:.2f} m)"
+    return [text] if away > least else []

@@ -15,6 +15,7 @@ from beamfield.geometry import FloatArray, as_pose, chained
 from beamfield.localization.course_choice import FoundCourse, StartHypothesis, choose_course
 from beamfield.localization.drive import Drive, prepare, with_points
 from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
+from beamfield.localization.robot_faults import OF_THE_ROBOT
 from beamfield.localization.scan_delay import scan_delay
 from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
@@ -224,12 +225,17 @@ def fit_course(
     turns = turn_errors(drive, fitted.poses, cut)
     seen = [*turn_findings(turns), *odometry_findings(drive, found.course, fitted)]
     seen = [one for one in seen if one.name not in of_wheels]
-    late = scan_delay(log, fitted.poses) if log.has_odometry else None
+    # Where poses seem to slip they may show no delay, as after a jump of a clock; the scans themselves do.
+    slips = any(one.name == "wheel-slip" for one in seen)
+    late = scan_delay(log, None if slips else fitted.poses) if log.has_odometry else None
     wrong = late or (mount_of_fit(log, fitted.poses) if log.has_odometry else None)
+    before = list(found.findings)
     if wrong is not None:
-        # Scans from another time or place look like slips.
-        seen = [wrong, *(one for one in seen if one.name != "wheel-slip")]
-    findings = [*found.findings, *seen, *more, *robot_in_sight(log)]
+        # A laser turned around fits odometry whose direction is reversed.
+        before = [wrong, *(one for one in before if wrong.name != "laser-mount" or one.name != "odometry-sign")]
+    if any(one.name in OF_THE_ROBOT for one in before):
+        seen = [one for one in seen if one.name != "wheel-slip"]
+    findings = [*before, *seen, *more, *robot_in_sight(log)]
     if (outdated := find_outdated_map(log, grid, fitted.poses)) is not None:
         findings.append(outdated)
     return _result(log, fitted, turns, trusted, findings, found.hypotheses)

@@ -208,7 +208,7 @@ def test_looking_up_few_particles_first_changes_nothing(monkeypatch):
     start = PoseBelief.around(START.mean, sd_position=0.01, sd_heading=0.01)
     run = nav2_filter(min_particles=20, max_particles=1000).run
     first = run(drive(), start, np.random.default_rng(0))
-    assert first.particles[0] < 20 + amcl_filter.MARGIN < first.particles[3]
+    assert max(np.diff(first.particles)) > amcl_filter.MARGIN  # so that few were not enough
     monkeypatch.setattr(amcl_filter, "MARGIN", 1000)
     np.testing.assert_array_equal(first.means, run(drive(), start, np.random.default_rng(0)).means)
 

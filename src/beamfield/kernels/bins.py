@@ -13,6 +13,7 @@ Integers = NDArray[np.int64]
 FARTHEST_BIN = 1 << 19
 # What a step of one bin in x, y and heading adds to a bin's code.
 STEPS = (1 << 42, 1 << 21, 1)
+_ODD = np.uint64(0x9E3779B97F4A7C15)
 
 
 @kernel
@@ -113,8 +114,9 @@ def join_bins(slots: Integers, bins: Integers, offsets: Integers, stack: Integer
 @kernel
 def _slot_of(code: int, slots: Integers, bins: Integers) -> int:
     """Return the slot that holds a bin, or the empty one where it would be."""
-    mixed = code ^ (code >> 21) ^ (code >> 42)
-    slot = (mixed * 0x9E3779B1) & (len(slots) - 1)
+    last = len(slots) - 1
+    # Upper bits of a product: those of neighbours' codes, which differ in a few bits, are far from one another.
+    slot = int(np.uint64(code) * _ODD >> np.uint64(40)) & last
     while slots[slot] >= 0 and bins[slots[slot]] != code:
-        slot = (slot + 1) & (len(slots) - 1)
+        slot = (slot + 1) & last
     return slot

@@ -72,10 +72,19 @@ def sum_values(
     starts
         (n + 1,) where each pose's beams start.
     table
-        (v, 8) values for eight sets of parameters.
+        (v, 8) values for eight sets of parameters, or (v, 1) for one.
     sums
-        (n, 8) overwritten.
+        (n, 8) or (n, 1) overwritten.
     """
+    if table.shape[1] == 1:
+        # A quarter of the time of eight: one by one is how an optimiser asks.
+        column = table.reshape(-1)
+        for i in range(len(starts) - 1):
+            a = 0.0
+            for j in range(starts[i], starts[i + 1]):
+                a += column[codes[j]]
+            sums[i, 0] = a
+        return
     for i in range(len(starts) - 1):
         a = b = c = d = e = f = g = h = 0.0
         for j in range(starts[i], starts[i + 1]):

@@ -10,13 +10,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.jit import integer, kernel
+from beamfield.kernels.jit import inlined_kernel, integer, kernel
 
 Floats = NDArray[np.float64]
 # Coordinates are held within this many cells, so that they fit an integer; no map is so large.
 FAR = 1e9
 KNOWN, UNKNOWN, OFF_MAP = np.int8(0), np.int8(1), np.int8(2)
 NOTHING = integer(0)
+# What a cell does to a ray.
+PASSES, STOPS, EDGE = np.uint8(0), np.uint8(1), np.uint8(2)
 
 
 @kernel
@@ -207,7 +209,7 @@ def sum_ends(poses: Floats, frame: tuple[float, float, float], resolution: float
 
 @kernel
 def cast_bresenham(poses: Floats, frame: tuple[float, float, float], resolution: float, starts: Floats,
-                   bearings: Floats, max_range: float, stops: NDArray[np.bool_], edge_stops: bool, overshoot: int,
+                   bearings: Floats, max_range: float, cells: NDArray[np.uint8], edge_stops: bool, overshoot: int,
                    ties_turn: bool, ranges: Floats) -> None:  # fmt: skip
     """Follow Bresenham's line from the cell of each beam's start to the cell max_range away.
 
@@ -221,8 +223,8 @@ def cast_bresenham(poses: Floats, frame: tuple[float, float, float], resolution:
         (k,) direction of each beam in the robot frame, radians.
     max_range
         Metres.
-    stops
-        (rows, cols) cells that stop a ray.
+    cells
+        (rows + 2, cols + 2): what each cell does to a ray, PASSES or STOPS, in a frame of EDGE.
     edge_stops
         Whether the first cell off the map stops a ray; otherwise the ray then meets nothing.
     overshoot
@@ -232,6 +234,7 @@ def cast_bresenham(poses: Floats, frame: tuple[float, float, float], resolution:
     ranges
         (n, k) overwritten: metres between the centres of the first and the stopping cell; max_range if there is none.
     """
+    lines = np.empty((len(bearings), 4), np.int64)
     cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
     for i in range(len(poses)):
         dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
@@ -242,49 +245,43 @@ def cast_bresenham(poses: Floats, frame: tuple[float, float, float], resolution:
             from_x, from_y = x + (c * starts[0, b] - s * starts[1, b]), y + (s * starts[0, b] + c * starts[1, b])
             along = heading + bearings[b]
             to_x, to_y = from_x + max_range * math.cos(along), from_y + max_range * math.sin(along)
-            ranges[i, b] = _follow(
-                _cell(from_x / resolution),
-                _cell(from_y / resolution),
-                _cell(to_x / resolution),
-                _cell(to_y / resolution),
-                stops,
-                edge_stops,
-                overshoot,
-                ties_turn,
-            )
-            if ranges[i, b] < 0.0:
-                ranges[i, b] = max_range
-            else:
-                ranges[i, b] *= resolution
+            lines[b, 0], lines[b, 1] = _cell(from_x / resolution), _cell(from_y / resolution)
+            lines[b, 2], lines[b, 3] = _cell(to_x / resolution), _cell(to_y / resolution)
+        # A loop of its own: where a line ends, a processor that guessed otherwise begins anew with what follows.
+        for b in range(len(bearings)):
+            x0, y0, x1, y1 = lines[b, 0], lines[b, 1], lines[b, 2], lines[b, 3]
+            distance = _follow(x0, y0, x1, y1, cells, edge_stops, overshoot, ties_turn)
+            ranges[i, b] = distance * resolution if distance >= 0.0 else max_range
 
 
-@kernel
+@inlined_kernel
 def _cell(coordinate: float) -> int:
     return math.floor(min(max(coordinate, -FAR), FAR))
 
 
-@kernel
+@inlined_kernel
 def _follow(
-    x0: int, y0: int, x1: int, y1: int, stops: NDArray[np.bool_], edge_stops: bool, overshoot: int, ties_turn: bool
+    x0: int, y0: int, x1: int, y1: int, cells: NDArray[np.uint8], edge_stops: bool, overshoot: int, ties_turn: bool
 ) -> float:
     """Return the distance in cells from the first to the stopping cell of a line, -1 if nothing stops it."""
-    rows, cols = stops.shape
-    steep = abs(y1 - y0) > abs(x1 - x0)
-    # a is the axis along which the line takes one cell per step, b the other.
-    a0, b0, a1, b1 = (y0, x0, y1, x1) if steep else (x0, y0, x1, y1)
-    long, short = abs(a1 - a0), abs(b1 - b0)
-    step_a, step_b = (1 if a0 < a1 else -1), (1 if b0 < b1 else -1)
-    a, b, error = a0, b0, 0
-    for t in range(long + 1 + overshoot):
-        if t > 0:
-            a += step_a
-            error += short
-            if 2 * error > long or (ties_turn and 2 * error == long):
-                b += step_b
-                error -= long
-        row, col = (a, b) if steep else (b, a)
-        if row < 0 or col < 0 or row >= rows or col >= cols:
-            return math.sqrt((a - a0) ** 2 + (b - b0) ** 2) if edge_stops else -1.0
-        if stops[row, col]:
-            return math.sqrt((a - a0) ** 2 + (b - b0) ** 2)
+    rows, cols = cells.shape
+    if x0 < 0 or y0 < 0 or x0 >= cols - 2 or y0 >= rows - 2:
+        return 0.0 if edge_stops else -1.0
+    flat, at = cells.reshape(-1), (y0 + 1) * cols + x0 + 1
+    dx, dy = abs(x1 - x0), abs(y1 - y0)
+    along, across = (1 if x0 < x1 else -1), (cols if y0 < y1 else -cols)
+    if dy > dx:
+        along, across = across, along
+    # One cell per step along the long axis, and one across where `error` is not negative.
+    long, short = max(dx, dy), min(dx, dy)
+    error, back = 2 * short - long - (0 if ties_turn else 1), 2 * (short - long)
+    for _ in range(long + 1 + overshoot):
+        here = flat[np.uintp(at)]
+        if here != PASSES:
+            dx, dy = at % cols - 1 - x0, at // cols - 1 - y0
+            return -1.0 if here == EDGE and not edge_stops else math.sqrt(dx * dx + dy * dy)
+        # No branch, which processors would guess wrong at every other turn: -1 where it goes straight on, else 0.
+        straight = error >> 63
+        at += along + (across & ~straight)
+        error += back + (2 * long & straight)
     return -1.0

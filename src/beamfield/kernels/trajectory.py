@@ -86,7 +86,7 @@ def distance_at(x: float, y: float, walls: Walls) -> tuple[float, float, float]:
     return low + b * (high - low), along * wc - across * ws, along * ws + across * wc
 
 
-@kernel
+@inlined_kernel
 def hit_distance(x: float, y: float, beam_x: float, beam_y: float, walls: Walls, on_faces: bool
                  ) -> tuple[float, float, float]:  # fmt: skip
     """Return the signed distance of an end point and its gradient; if hits lie on faces, of the face that the beam met.
@@ -122,9 +122,8 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
     c, s = math.cos(pose[2]), math.sin(pose[2])
     precision = 1.0 / (noise.sigma * noise.sigma)
     miss = -math.log(noise.clutter / (1.0 + noise.clutter))
-    cost = 0.0
-    gradient[:] = 0.0
-    information[:] = 0.0
+    cost = x = y = turn = by_x = by_y = by_turn = 0.0
+    xx = xy = xt = yy = yt = tt = 0.0
     for j in range(points.shape[0]):
         rx = c * points[j, 0] - s * points[j, 1]
         ry = s * points[j, 0] + c * points[j, 1]
@@ -141,19 +140,22 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
         gt = gy * rx - gx * ry
         pull = weight * residual * precision
         weight *= precision if residual != 0.0 else 0.0
-        gradient[0] += pull * gx
-        gradient[1] += pull * gy
-        gradient[2] += pull * gt
-        gradient[3] += weight * gx
-        gradient[4] += weight * gy
-        gradient[5] += weight * gt
-        information[0, 0] += weight * gx * gx
-        information[0, 1] += weight * gx * gy
-        information[0, 2] += weight * gx * gt
-        information[1, 1] += weight * gy * gy
-        information[1, 2] += weight * gy * gt
-        information[2, 2] += weight * gt * gt
-    information[1, 0], information[2, 0], information[2, 1] = information[0, 1], information[0, 2], information[1, 2]
+        x += pull * gx
+        y += pull * gy
+        turn += pull * gt
+        by_x += weight * gx
+        by_y += weight * gy
+        by_turn += weight * gt
+        xx += weight * gx * gx
+        xy += weight * gx * gy
+        xt += weight * gx * gt
+        yy += weight * gy * gy
+        yt += weight * gy * gt
+        tt += weight * gt * gt
+    gradient[0], gradient[1], gradient[2], gradient[3], gradient[4], gradient[5] = x, y, turn, by_x, by_y, by_turn
+    information[0, 0], information[0, 1], information[0, 2] = xx, xy, xt
+    information[1, 0], information[1, 1], information[1, 2] = xy, yy, yt
+    information[2, 0], information[2, 1], information[2, 2] = xt, yt, tt
     return cost
 
 
@@ -285,7 +287,7 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
         i = following
 
 
-@kernel
+@inlined_kernel
 def _add_prior(share: float, prior: Floats, information: Floats) -> None:
     """Turn a scan's information into that of the pose: of its share of independent end points, and of the prior."""
     for j in range(3):
@@ -293,7 +295,7 @@ def _add_prior(share: float, prior: Floats, information: Floats) -> None:
             information[j, k] = share * information[j, k] + prior[j, k]
 
 
-@kernel
+@inlined_kernel
 def _dot(a: Floats, b: Floats) -> float:
     product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product

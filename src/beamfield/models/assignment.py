@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from beamfield.geometry import FloatArray
 
@@ -16,6 +15,8 @@ def assign_exclusively(each: FloatArray, none: FloatArray, values: FloatArray, c
     results (n, k) are log values, and indices of landmarks, N for none; -inf and N + 1 for all k features of a row that
     has no such correspondence.
     """
+    from scipy.optimize import linear_sum_assignment  # takes a third of a second to import, for every command
+
     k, n_landmarks = each.shape[1:]
     # Every feature has its own way of being spurious, so that they do not compete for it.
     table = np.full((k, n_landmarks + k), -np.inf)

@@ -77,7 +77,7 @@ class AmclBeam(GridRays[P], Generic[P]):
     def expected_ranges(self, poses: FloatArray, mounts: FloatArray, range_max: float) -> FloatArray:
         """Return expected ranges (n, k) in metres of beams with mounts (k, 3) at poses (n, 3)."""
         if self._caster is None:
-            return bresenham_ranges(self._seen, poses, mounts, range_max, AMCL_LINE)
+            return bresenham_ranges(self._seen, self._cells, poses, mounts, range_max, AMCL_LINE)
         return exact_ranges(self._caster, self._seen, poses, mounts, range_max, off_map=0.0)
 
     def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:

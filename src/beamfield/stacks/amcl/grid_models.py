@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamfield.arguments import keep
 from beamfield.geometry import FloatArray
@@ -16,7 +17,7 @@ from beamfield.stacks.emulation.emulator import FieldModel, RayEvidence, RayMode
 from beamfield.stacks.emulation.field_table import DistanceChoice, FieldTable
 from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
-from beamfield.stacks.emulation.stack_rays import RAYS, RayChoice
+from beamfield.stacks.emulation.stack_rays import RAYS, RayChoice, line_cells
 
 P = TypeVar("P")
 # Names of the parameters that decide which beams there are.
@@ -84,13 +85,15 @@ class GridRays(RayModel[P], Generic[P]):
     no_return: str = field(default="inf", kw_only=True)
     map_mode: MapMode = field(default="trinary", kw_only=True)
     _seen: OccupancyGrid = field(init=False, repr=False)
+    _cells: NDArray[np.uint8] = field(init=False, repr=False)
     _caster: RayCaster | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         check_choice(self, "rays", RAYS)
         check_choice(self, "no_return", NO_RETURNS)
         seen, walls = self._read_map()
-        keep(self, _seen=seen, _caster=RayCaster(walls, unknown="occupied") if self.rays == "exact" else None)
+        caster = RayCaster(walls, unknown="occupied") if self.rays == "exact" else None
+        keep(self, _seen=seen, _cells=line_cells(seen), _caster=caster)
 
     @abstractmethod
     def _read_map(self) -> tuple[OccupancyGrid, OccupancyGrid]:

@@ -69,7 +69,7 @@ class BelugaBeam(GridRays[BelugaParameters]):
     def expected_ranges(self, poses: FloatArray, mounts: FloatArray, max_range: float) -> FloatArray:
         """Return expected ranges (n, k) in metres of beams with mounts (k, 3) at poses (n, 3)."""
         if self._caster is None:
-            ranges = bresenham_ranges(self._seen, poses, mounts, max_range, BELUGA_LINE)
+            ranges = bresenham_ranges(self._seen, self._cells, poses, mounts, max_range, BELUGA_LINE)
             return np.minimum(ranges, max_range, out=ranges)
         return exact_ranges(self._caster, self._seen, poses, mounts, max_range, off_map=max_range)
 

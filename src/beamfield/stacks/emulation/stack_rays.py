@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray, compose, transform_points
 from beamfield.kernels import stacks as kernels
@@ -34,24 +35,28 @@ AMCL_LINE = Line(edge_stops=True, overshoot=1, ties_turn=True)
 BELUGA_LINE = Line(edge_stops=False, overshoot=0, ties_turn=False)
 
 
+def line_cells(grid: OccupancyGrid) -> NDArray[np.uint8]:
+    """Return what the map's cells do to `bresenham_ranges`, made once for many scans; cells that are not free stop."""
+    return np.pad(np.where(grid.free, kernels.PASSES, kernels.STOPS), 1, constant_values=kernels.EDGE)
+
+
 def bresenham_ranges(
-    grid: OccupancyGrid, poses: FloatArray, mounts: FloatArray, max_range: float, line: Line
+    grid: OccupancyGrid, cells: NDArray[np.uint8], poses: FloatArray, mounts: FloatArray, max_range: float, line: Line
 ) -> FloatArray:
     """Return the ranges (n, k) of Bresenham's line between centres of cells, to the first cell that is not free.
 
-    The map is as the stack reads it. The line's last cell is max_range metres away; ranges of that cell may be a little
-    more. Poses (n, 3) are the robot's, mounts (k, 3) the beams'.
+    The map is as the stack reads it, and `cells` its `line_cells`. The line's last cell is max_range metres away;
+    ranges of that cell may be a little more. Poses (n, 3) are the robot's, mounts (k, 3) the beams'.
     """
     ranges: FloatArray = np.empty((len(poses), len(mounts)))
     rows = np.require(poses, requirements=["C", "W"])
     starts = np.array(mounts[:, :2].T, order="C")
     bearings = np.array(mounts[:, 2])
     x, y, yaw = grid.origin.tolist()
-    stops = ~grid.free
 
     def work(a: int, b: int) -> None:
         kernels.cast_bresenham(
-            rows[a:b], (x, y, yaw), grid.resolution, starts, bearings, max_range, stops, *line, ranges[a:b]
+            rows[a:b], (x, y, yaw), grid.resolution, starts, bearings, max_range, cells, *line, ranges[a:b]
         )
 
     run_in_blocks(work, len(rows), work_per_row=WORK_PER_RAY * len(mounts))

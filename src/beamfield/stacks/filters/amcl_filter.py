@@ -32,7 +32,7 @@ from beamfield.stacks.filters.recovery import WeightAverages
 BINS = BinSizes(0.5, 0.5, np.radians(10.0))
 # A filter has converged when all particles are as close to their mean in x and in y, metres.
 CONVERGED_DISTANCE = 0.5
-# So many more particles than the least are looked up first.
+# So many more particles than there are now are looked up first.
 MARGIN = 100
 
 
@@ -185,8 +185,8 @@ class _Particles(AmclParticles):
         """Draw particles by weight until there are enough, and return their bins."""
         random_share = self._averages.random_share()
         points = self._rng.random(self._most)
-        # Where few are enough, as mostly, the others need not be looked up.
-        few = self._most if random_share > 0.0 else min(self._most, MARGIN + int(self._limits.min()))
+        # About as many as the last time are enough, mostly: the others need not be looked up.
+        few = self._most if random_share > 0.0 else min(self._most, MARGIN + len(self.weights))
         histogram, poses = self._drawn(points[:few], random_share)
         if few < self._most and not histogram.is_enough:
             histogram, poses = self._drawn(points, random_share)

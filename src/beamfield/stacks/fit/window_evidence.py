@@ -47,10 +47,11 @@ class FieldCodes:
         """Return log-weights (r, c) of all poses, one after the other, for c parameters."""
         weights = np.empty((len(self.n_beams), len(candidates)))
         beams = max(1, len(self.codes) // max(1, len(self.n_beams)))
-        sums = np.empty((len(self.n_beams), LANES))
+        width = 1 if len(candidates) == 1 else LANES
+        sums = np.empty((len(self.n_beams), width))
         for first in range(0, len(candidates), LANES):
             chunk = candidates[first : first + LANES]
-            table = np.zeros((len(self.values.beams), LANES))
+            table = np.zeros((len(self.values.beams), width))
             for lane, parameters in enumerate(chunk):
                 table[:, lane] = model.beam_terms(self.values, parameters)[0]
 

@@ -15,6 +15,7 @@ from beamfield.calibration.pose_windows import WindowOptions
 from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack, write_patch
 from beamfield.cli.main import main
 from beamfield.cli.report_part import StackPart
+from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.io.read_map import read_map
 from beamfield.report.page_section import PageSection
@@ -247,6 +248,21 @@ def test_where_map_or_poses_are_wrong_the_users_file_stays(world, tmp_path, caps
     assert f'<p class="verdict bad"><b class="label">Do not trust</b> {said}</p>' in (out / "report.html").read_text()
     main(["doctor", str(out / "nav2.yaml")])
     assert "info: calibrated" not in capsys.readouterr().out
+
+
+def test_values_are_fitted_in_a_map_that_is_out_of_date_but_not_in_that_of_another_place(monkeypatch):
+    monkeypatch.setattr("beamfield.stacks.fit.fit.fit_stack", lambda _, name, *__, **___: name)
+    arguments = SimpleNamespace(stack="nav2", model="beam", reference_error=0.04, seed=0, block=None)
+    job = SimpleNamespace(arguments=arguments, patched=None, progress=None)
+
+    def fits_with(name: str) -> list[str]:
+        findings, options = (Finding(name, "warning", ""),), SimpleNamespace(selection=None)
+        result = SimpleNamespace(findings=findings, candidates=(), options=options)
+        return _fits(job, None, SimpleNamespace(origin=np.zeros(3)), result)
+
+    assert fits_with("map-out-of-date") == ["beam"]
+    with pytest.raises(TooLittleDataError, match="most readings disagree with the map"):
+        fits_with("map-disagrees")
 
 
 @pytest.mark.parametrize(

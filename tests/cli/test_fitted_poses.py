@@ -8,12 +8,13 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.cli.fitted_poses import instead_of_own, posed_log
+from beamfield.cli.fitted_poses import instead_of_own, posed_log, with_map_judged
 from beamfield.cli.main import main
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import BeamfieldError, TrajectoryNotFoundError
@@ -359,18 +360,28 @@ def named(name: str) -> Finding:
 
 
 @pytest.mark.parametrize("refuted_by", ["reference-slides", "map-disagrees-in-part"])
-def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_the_robot(
+def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_robot_or_map(
     world: Path, monkeypatch, refuted_by: str
 ):
     sensor, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
     found = (named(refuted_by),)
-    for faults, expected in (((), None), ((named("laser-mount"),), "own-poses-agree")):
+    for faults, expected in (
+        ((), None), ((named("map-out-of-date"),), "own-poses-agree"), ((named("laser-mount"),), "own-poses-agree"),
+    ):  # fmt: skip
         fit = replace(fit_of(world), findings=faults)
         monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda *_, fit=fit, **__: fit)
         better = instead_of_own(sensor, grid, found, StageProgress(quiet=True))
         assert (better and better.instead_of.name) == expected
     assert "laser-mount" in [one.name for one in better.findings()]
     assert instead_of_own(sensor, grid, (named("pose-in-wall"),), StageProgress(quiet=True)) is None
+
+
+def test_a_map_that_the_fit_shows_to_be_out_of_date_is_not_doubted_to_be_of_the_place(world: Path):
+    found = named("map-disagrees"), named("pose-in-wall")
+    fitted = SimpleNamespace(fit=fit_of(world))
+    assert with_map_judged(found, fitted) == found
+    fitted.fit = replace(fit_of(world), findings=(named("map-out-of-date"),))
+    assert with_map_judged(found, fitted) == found[1:]
 
 
 def test_doctor_names_the_robots_fault_first_and_does_not_blame_the_motion_noise_for_it(

@@ -16,6 +16,7 @@ from beamfield.localization.trajectory_start import Followed, cheapest_course
 from beamfield.localization.trajectory_trust import time_gaps
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.outdated_map import find_outdated_map
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
@@ -65,6 +66,23 @@ def test_a_course_that_stands_out_is_taken_though_most_readings_are_of_people(of
     found = find_course(log, office)
     assert found.hypotheses[0].misfit > MOST_COST
     assert distances(fit_course(log, office, found), log).mean() < 0.05
+
+
+def test_a_map_is_out_of_date_where_most_readings_disagree_with_it_at_poses_that_fit_the_whole_drive(
+    drive: SensorLog, office: OccupancyGrid
+):
+    found, ranges = find_course(drive, office), drive.ranges.copy()
+    behind = np.random.default_rng(4).random(ranges.shape) < 0.6
+    ranges[behind] *= 0.6  # what the map does not show
+    log = replace(drive, ranges=ranges)
+    fit = fit_course(log, office, found)
+    assert distances(fit, drive).max() < 0.1
+    (outdated,) = [one for one in fit.findings if one.name == "map-out-of-date"]
+    assert 0.3 < outdated.values["median_agreement"] < 0.45
+    # The poses alone do not show it, nor does a course on which the robot was carried.
+    assert find_outdated_map(log, office, fit.poses) is None
+    carried = found._replace(course=replace(found.course, jumps=np.array([9])))
+    assert "map-out-of-date" not in names(fit_course(log, office, carried))
 
 
 def hall_log(side: float, n_racks: int, seed: int) -> tuple[SensorLog, OccupancyGrid]:

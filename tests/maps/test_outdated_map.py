@@ -27,3 +27,12 @@ def test_where_as_many_agree_beside_the_poses_they_are_not_known_to_be_right():
 
 def test_poses_that_nobody_knows_show_nothing():
     assert find_outdated_map(drive(hall(), 25), hall(), np.full_like(POSES, np.nan)) is None
+
+
+@pytest.mark.parametrize(("n_wrong", "is_outdated"), [(22, False), (23, True), (30, True), (31, False)])
+def test_of_poses_that_are_known_to_be_right_those_beside_them_are_not_asked(n_wrong, is_outdated):
+    grid = hall(0)
+    found = find_outdated_map(drive(grid, n_wrong), grid, POSES, are_right=True)
+    assert (found is not None) is is_outdated
+    if found is not None:
+        assert found.values == {"median_agreement": pytest.approx(1.0 - n_wrong / N_BEAMS)}

@@ -69,7 +69,7 @@ def test_the_verdict_says_what_replay_decided_and_what_stands_against_it(monkeyp
     monkeypatch.setattr("beamfield.report.stack_section.replay_verdict", lambda _: "Use the new values.")
     plain = StackResult((fitted(),), fitted(), SimpleNamespace())
     assert stack_verdict(plain) == "Use the new values."
-    in_part, jumps = replace(plain, disagrees_in_part=True), replace(plain, leaves_out_jumps=True)
+    in_part, jumps = replace(plain, disagrees=True), replace(plain, leaves_out_jumps=True)
     assert stack_verdict(in_part).startswith("Use the new values. Many scans disagree with the map")
     assert stack_verdict(jumps).startswith("Use the new values. The odometry's jumps were left out: the robot's filter")
     doubtful = replace(plain, doubt="Do not use these values yet: the scale of the map is wrong.")

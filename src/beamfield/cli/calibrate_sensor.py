@@ -14,6 +14,7 @@ from beamfield.cli.calibrate_field import learn_field
 from beamfield.cli.calibrate_fitted import cross_fitted, judge_fitted, with_fitted_error
 from beamfield.cli.calibrate_odometry import learn_odometry
 from beamfield.cli.calibrate_stack import fit_for_stack, warn_if_too_short
+from beamfield.cli.fitted_poses import with_map_judged
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.report_part import ReportPart, StackPart
 from beamfield.cli.terminal import filled, line_width
@@ -151,6 +152,8 @@ class CalibrationJob:
         if self.arguments.stack is not None:
             warn_if_too_short(self, whole, self.grid)
         result = calibrate(sensor, self.grid, self.options, progress=self.progress)
+        if fitted is not None:
+            result = replace(result, findings=with_map_judged(result.findings, fitted))
         counting, exponents = learn_beam_exponent(self, sensor, self.grid, result)
         parts = [] if fitted is None else [judge_fitted(self, fitted, self.grid, result)]
         parts += [counting, learn_field(self, sensor, self.grid, result)]

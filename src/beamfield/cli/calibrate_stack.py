@@ -122,7 +122,8 @@ def fit_for_stack(
     known = {finding.name for finding in result.findings}
     found = StackResult(
         fits, chosen, choice, why_not, doubts(result),
-        disagrees_in_part="map-disagrees-in-part" in known, leaves_out_jumps="odometry-reset" in known,
+        disagrees=bool(known & {"map-out-of-date", "map-disagrees-in-part"}),
+        leaves_out_jumps="odometry-reset" in known,
     )  # fmt: skip
     unproven = found.unproven.rstrip(".")
     record = _record(found) if found.covers and not (found.doubt or unproven) else ""
@@ -173,7 +174,7 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
             "a yaw of 0 (rotate the picture)."
         )
     for finding in result.findings:
-        if finding.name in ("map-disagrees", "map-out-of-date"):
+        if finding.name == "map-disagrees":
             raise TooLittleDataError(DOUBTS[finding.name])
         if finding.name == "odometry-sign":
             # Replayed with the sign put right, a filter says nothing of the robot's, which takes it as it is.

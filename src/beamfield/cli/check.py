@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import NAME, Start, as_document, posed_log
+from beamfield.cli.fitted_poses import NAME, Start, as_document, posed_log, with_map_judged
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index, positive
 from beamfield.cli.progress import StageProgress
@@ -219,6 +219,8 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
     learned = calibrate(
         given.good, given.grid, CalibrationOptions(refine=False, seed=arguments.seed), progress=progress
     )
+    if given.fitted is not None:
+        learned = replace(learned, findings=with_map_judged(learned.findings, given.fitted))
     reasons = doubts(learned).rstrip(".")
     if not reasons:
         return learned.parameters, ""
@@ -234,9 +236,12 @@ def _lost(given: _Inputs) -> str:
 
 def _disagreement(given: _Inputs) -> str:
     from beamfield.calibration.reference_checks import map_findings
-    from beamfield.report.verdict import DOUBTS
 
-    return next((DOUBTS[one.name] for one in map_findings(given.log, given.grid) if one.name in DOUBTS), "")
+    of_fit = () if given.fitted is None else given.fitted.fit.findings
+    found = {one.name for one in (*map_findings(given.log, given.grid), *of_fit)}
+    if "map-out-of-date" in found:
+        return "most readings disagree with the map, which is out of date"
+    return "most readings disagree with the map at the reference poses" if "map-disagrees" in found else ""
 
 
 def _reference(

@@ -82,7 +82,7 @@ def instead_of_own(
 ) -> FittedPoses | None:
     """Return poses to take instead of a log's own, if those are refuted by what was found.
 
-    None if no others can be fitted, or if they are in the same place and nothing is wrong with the robot.
+    None if no others can be fitted, or if they are in the same place and nothing is wrong with robot or map.
     """
     from beamfield.localization.fitted_poses import fit_poses
     from beamfield.localization.own_poses import compare_own_poses
@@ -94,10 +94,16 @@ def instead_of_own(
     except BeamfieldError:
         return None
     compared = compare_own_poses(sensor, fitted.fit)
-    faults = any(one.name in OF_THE_ROBOT for one in fitted.fit.findings)
-    if compared is None or not (compared.name == "own-poses-lost" or faults):
+    wrong = any(one.name in (*OF_THE_ROBOT, "map-out-of-date") for one in fitted.fit.findings)
+    if compared is None or not (compared.name == "own-poses-lost" or wrong):
         return None
     return replace(fitted, instead_of=compared)
+
+
+def with_map_judged(findings: tuple[Finding, ...], fitted: FittedPoses) -> tuple[Finding, ...]:
+    """Return findings at fitted poses, without the doubt that the map is theirs if the fit says it is out of date."""
+    outdated = any(one.name == "map-out-of-date" for one in fitted.fit.findings)
+    return tuple(one for one in findings if not (outdated and one.name == "map-disagrees"))
 
 
 def fit_in_map(

@@ -35,6 +35,8 @@ Progress = Callable[[str, int, int], None]
 FEWEST_SCANS, FEWEST_POINTS = 3, 100
 # Metres, a radian of turning counting as a tenth of one: a robot that stands sees one place, of which maps have many.
 LEAST_WAY = 0.3
+# With this share of trusted poses and no jump, a course is right even if most readings disagree with the map.
+NEARLY_ALL = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +238,8 @@ def fit_course(
     if any(one.name in OF_THE_ROBOT for one in before):
         seen = [one for one in seen if one.name != "wheel-slip"]
     findings = [*before, *seen, *more, *robot_in_sight(log)]
-    if (outdated := find_outdated_map(log, grid, fitted.poses)) is not None:
+    are_right = not len(found.course.jumps) and float(trusted.mean()) >= NEARLY_ALL
+    if (outdated := find_outdated_map(log, grid, fitted.poses, are_right=are_right)) is not None:
         findings.append(outdated)
     return _result(log, fitted, turns, trusted, findings, found.hypotheses)
 

@@ -19,29 +19,46 @@ LEAST, TIMES = 0.25, 2.5
 BESIDE, DIRECTIONS = (0.5, 1.0, 2.0), 8
 
 
-def find_outdated_map(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Finding | None:
+def find_outdated_map(
+    log: SensorLog, grid: OccupancyGrid, poses: FloatArray, *, are_right: bool = False
+) -> Finding | None:
     """Return a warning if most readings disagree with the map, but the poses (t, 3) are right all the same.
 
-    None if most readings agree, or nothing shows that the poses are right. They are where far fewer readings would
-    agree a little way off, in any direction.
+    None if most readings agree, or nothing shows that the poses are right. They are if somebody knows it, as of a
+    course that fits the whole drive and no other (`are_right`), or where far fewer readings would agree a little way
+    off, in any direction.
     """
     caster = RayCaster(grid)
     agrees = _median(log, grid, poses, caster)
     if not LEAST <= agrees < LEAST_AGREEMENT:
         return None
+    share = f"{int(100.0 * agrees)}% of a scan's readings agree with the map (median; expected {LEAST_AGREEMENT:.0%} or"
+    if are_right:
+        return _finding(
+            f"{share} more) at the only poses that fit the whole drive: the map is out of date, or most readings are "
+            "of people.",
+            {"median_agreement": agrees},
+        )
     angles = 2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)
     steps = [r * np.array([np.cos(angle), np.sin(angle), 0.0]) for r in BESIDE for angle in angles]
     beside = max(_median(log, grid, poses + step, caster) for step in steps)
     if agrees < TIMES * beside:
         return None
+    return _finding(
+        f"{share} more), and {int(100.0 * beside)}% at most would {BESIDE[0]:g} to {BESIDE[-1]:g} m away: the poses "
+        "are right, the map is out of date.",
+        {"median_agreement": agrees, "agreement_beside": beside},
+    )
+
+
+def _finding(text: str, values: dict[str, float]) -> Finding:
     return Finding(
         "map-out-of-date",
         "warning",
-        f"{int(100.0 * agrees)}% of a scan's readings agree with the map (median; expected {LEAST_AGREEMENT:.0%} or "
-        f"more), and {int(100.0 * beside)}% at most would {BESIDE[0]:g} to {BESIDE[-1]:g} m away: the poses are right, "
-        "the map is out of date.",
-        {"median_agreement": agrees, "agreement_beside": beside},
-        why="What was moved since misleads a robot sooner or later; a calibration takes it for noise of the sensor.",
+        text,
+        values,
+        why="What was moved since misleads a robot sooner or later; a calibration takes it for noise of the sensor, as "
+        "a filter in this map should.",
         do="Map the place anew.",
     )
 

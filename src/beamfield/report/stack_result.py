@@ -30,8 +30,8 @@ class StackResult:
         Why not.
     doubt
         Why no value may be used yet, whatever replay says: map or poses cannot be trusted; empty if they can.
-    disagrees_in_part
-        Whether many scans disagree with the map.
+    disagrees
+        Whether many scans, or most readings of most scans, disagree with the map.
     leaves_out_jumps
         Whether the odometry jumps and the log that was replayed does not: its poses were fitted without these steps.
     """
@@ -41,7 +41,7 @@ class StackResult:
     replay: ReplayChoice | None = None
     why_not: str = ""
     doubt: str = ""
-    disagrees_in_part: bool = False
+    disagrees: bool = False
     leaves_out_jumps: bool = False
 
     @property

@@ -83,7 +83,7 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
         f"{fold('The parameter file', f'<pre>{escaped(file_text)}</pre>')}\n{fold('Scores on windows', windows)}"
     )
     is_better = replay is not None and replay.is_better
-    doubtful = result.disagrees_in_part or result.is_from_few_places
+    doubtful = result.disagrees or result.is_from_few_places
     level: Level = "good" if result.covers and is_better and not doubtful else "care"
     return PageSection("stack", f"{stack}: {model}", markup, stack_verdict(result), level)
 
@@ -93,7 +93,7 @@ def stack_verdict(result: StackResult) -> str:
     if result.doubt or result.replay is None:
         return result.doubt or result.unproven
     said = replay_verdict(result.replay)
-    if result.disagrees_in_part:
+    if result.disagrees:
         said += " Many scans disagree with the map: read the warning about it first."
     if result.leaves_out_jumps:
         said += (

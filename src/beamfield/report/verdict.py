@@ -15,7 +15,6 @@ RIVALS = {"nav2 defaults": "nav2's defaults", "ROS 1 defaults": "ROS 1's"}
 DOUBTS = {
     "map-says-nothing": "the readings do not fit this map at these poses, the fit is hardly better than a uniform",
     "map-disagrees": "most readings disagree with the map at the reference poses",
-    "map-out-of-date": "most readings disagree with the map, which is out of date",
     "hits-anywhere": "hits scatter around the walls by much of their range",
     "map-scale": "the scale of the map is wrong",
     "poses-off-map": "many reference poses lie off the map",

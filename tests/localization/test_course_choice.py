@@ -31,10 +31,12 @@ def judged(cost: float, agrees: float, n_jumps: int = 0) -> Judged:
         ((7.0, 0.55), (8.7, 0.39), SHORT, False),
         ((7.0, 0.55), (8.8, 0.40), SHORT, False),
         # Few agree, since the map is out of date; but far fewer on the other, which costs far more.
-        ((12.0, 0.30), (16.0, 0.15), LONG, True),
-        ((12.0, 0.30), (16.0, 0.15), SHORT, True),
-        ((12.0, 0.30), (15.9, 0.15), LONG, False),
-        ((12.0, 0.30), (16.0, 0.16), LONG, False),
+        ((12.0, 0.30), (14.5, 0.19), LONG, True),
+        ((12.0, 0.30), (14.4, 0.19), LONG, False),
+        ((12.0, 0.30), (14.5, 0.21), LONG, False),
+        ((12.0, 0.30), (16.0, 0.13), SHORT, True),
+        ((12.0, 0.30), (15.9, 0.13), SHORT, False),
+        ((12.0, 0.30), (16.0, 0.15), SHORT, False),
     ],
 )
 def test_a_course_is_believed_by_how_it_stands_out_among_others(first, other, n_scans, is_believed):

@@ -45,8 +45,9 @@ AGREES_MORE, COSTS_LESS, MOST_BEYOND = 0.08, 0.9, 1.0
 MANY_SCANS = 560
 # If it stands out by this much, half of its beams need not agree: the map is out of date. In maps of other buildings
 # courses stand out by at most 0.06 and 1.3 nats in logs of two minutes, and 0.17 and 2.2 or 0.09 and 3.4 in those of
-# 12 s; in maps that lack much of an office by at least 0.19 and 5.3 (benchmarks/other_maps.py).
-AGREES_FAR_MORE, COSTS_FAR_LESS = 0.15, 4.0
+# 12 s; in maps that lack much of an office by at least 0.19 and 5.3 (benchmarks/other_maps.py), or, where most of what
+# stood there was moved, 0.14 and 3.4. Of shorter logs so many times as much is asked at most.
+AGREES_FAR_MORE, COSTS_FAR_LESS, AT_MOST = 0.1, 2.5, 1.6
 # A start that is given is believed against a worse fit, without jumps.
 MOST_COST_FROM_START = 9.0
 # Two courses whose costs and misfits differ by less, in nats, are equally likely.
@@ -192,13 +193,14 @@ def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -
     steady = min((one.cost for one, course in others if not len(course.jumps)), default=np.inf)
     more = best[0].agrees - max((one.agrees for one, _ in others), default=0.0)
     less, few = steady - best[0].cost, max(1.0, float(np.sqrt(MANY_SCANS / n_scans)))
+    far = min(few, AT_MOST)
     undoubted = (
         not len(best[1].jumps)
         and (np.isfinite(steady) or start is not None)
         and best[0].cost <= jumping + MOST_BEYOND
         and (
             (best[0].agrees >= LEAST_AGREEMENT and more >= few * AGREES_MORE and less >= few * COSTS_LESS)
-            or (np.isfinite(steady) and more >= AGREES_FAR_MORE and less >= COSTS_FAR_LESS)
+            or (np.isfinite(steady) and more >= far * AGREES_FAR_MORE and less >= far * COSTS_FAR_LESS)
         )
     )
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []

@@ -1,0 +1,155 @@
+"""What `calibrate --stack nav2` does for other robots, in maps that are right and in maps that are out of date.
+
+Simulated offices, four laser scanners, odometry of worn wheels. As a user would, each is calibrated from a drive of two
+minutes without poses, from nav2's defaults; nav2's filter, emulated, then runs on a second drive, from one start with
+10 seeds, with the values before and after. Errors are those against exact poses. In maps that are out of date, walls
+are 3 cm off (standard deviation; differently every few metres), half or more of the small things are gone, and boxes
+have come. "Start given": no trajectory was found until the start was given to half a metre.
+
+Run: python benchmarks/other_robots.py [SEED ...]     (12; an hour on two processors)
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from beamfield.cli.demo import DEFAULTS
+from beamfield.cli.main import main as beamfield
+from beamfield.io.logs.carmen import write_carmen
+from beamfield.io.maps.ros_map_writer import write_map
+from beamfield.io.read_map import read_map
+from beamfield.localization.replay_trials import run_trials
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder, ScanLog
+from beamfield.simulation.dependence import Dependence
+from beamfield.simulation.floor_plan import draw_floor_plan
+from beamfield.simulation.log import simulate_log
+from beamfield.simulation.odometry import OdometryNoise
+from beamfield.simulation.trajectory import DriveOptions
+from beamfield.stacks.files.filter_file import read_filter_settings
+from beamfield.stacks.files.parameter_file import read_stack_file
+from tables import print_table
+
+SEEDS = range(10)
+WORN = OdometryNoise(0.02, 0.02, 0.03, 0.02, 0.03)
+# Share of the small things (up to 2 m2) that are still there, and boxes of 0.3 to 1.2 m that the map does not show.
+MAPS = {"right": None, "half moved": (0.5, 40), "most moved": (0.3, 80)}
+SMALL, BOX, WALLS, SMOOTH = 2.0, (0.3, 1.2), 0.03, 2.0
+
+
+@dataclass(frozen=True)
+class Laser:
+    """A scanner: first and last bearing in degrees, beams, ranges in metres, what is true of it, scans per second."""
+
+    bearings: tuple[float, float, int]
+    limits: tuple[float, float]
+    truth: BeamParameters
+    rate: float = 5.0
+
+    def drive(self, world: OccupancyGrid, seconds: float, seed: int) -> ScanLog:
+        """Return a log with exact poses."""
+        first, last, n = self.bearings
+        finder = RangeFinder.from_bearings(
+            np.radians(np.linspace(first, last, n)), self.limits[1], min_range=self.limits[0], mount=(0.1, 0.0, 0.0)
+        )
+        return simulate_log(
+            world, finder, self.truth, duration=seconds, scan_rate=self.rate, seed=seed, odometry_noise=WORN,
+            drive=DriveOptions(speed=0.6), dependence=Dependence(np.radians(4.0), 1.0),
+        )  # fmt: skip
+
+
+LASERS = {
+    "360 deg, 3.5 m": Laser((-180.0, 179.0, 360), (0.12, 3.5), BeamParameters(0.80, 0.05, 0.08, 0.07, 0.015, 0.5)),
+    "360 deg, 12 m": Laser((-180.0, 179.0, 360), (0.15, 12.0), BeamParameters(0.75, 0.08, 0.12, 0.05, 0.03, 0.5)),
+    "270 deg, 30 m": Laser((-135.0, 135.0, 541), (0.1, 30.0), BeamParameters(0.85, 0.07, 0.03, 0.05, 0.02, 0.5)),
+    "86 deg, 8 m": Laser((-43.0, 43.0, 87), (0.3, 8.0), BeamParameters(0.70, 0.10, 0.10, 0.10, 0.05, 0.5)),
+}
+
+
+def main(seeds: Sequence[int]) -> None:
+    """Calibrate and run every robot in every map, and print the table."""
+    rows = []
+    for seed in seeds:
+        for name, laser in LASERS.items():
+            for state, changes in MAPS.items():
+                with tempfile.TemporaryDirectory() as folder:
+                    rows.append(
+                        {"laser": name, "map": state, "office": seed} | outcome(laser, changes, seed, Path(folder))
+                    )
+                print(rows[-1], file=sys.stderr, flush=True)
+    print_table(rows)
+
+
+def outcome(laser: Laser, changes: tuple[float, int] | None, seed: int, folder: Path) -> dict[str, Any]:
+    """Return what nav2's filter does before and after."""
+    plan, rng = draw_floor_plan(seed=seed), np.random.default_rng(seed)
+    world = plan if changes is None else changed(plan, *changes, rng)
+    write_map(plan if changes is None else bent(plan, rng), folder / "map.yaml", mode="trinary")
+    learned, judged = (laser.drive(world, seconds, 10 * seed + i) for i, seconds in enumerate((120.0, 90.0)))
+    sensor = learned.only_sensor()
+    hidden = replace(sensor, poses=np.full_like(sensor.poses, np.nan))
+    write_carmen(folder / "log.carmen", replace(learned, sensors=dict.fromkeys(learned.sensors, hidden)))
+    before, after = folder / "before.yaml", folder / "after.yaml"
+    for file in (before, after):
+        file.write_text(DEFAULTS.replace("_prob", ""))
+    x, y, theta = sensor.poses[0]
+    words = [
+        "calibrate", folder / "log.carmen", "--lone-poses", "odometry", "--map", folder / "map.yaml", "--max-range",
+        laser.limits[1], "--stack", "nav2", "--patch", after, "--out", folder / "out", "--quiet",
+    ]  # fmt: skip
+    start = ["--start", round(2.0 * x) / 2.0, round(2.0 * y) / 2.0, round(np.degrees(theta), -1)]
+    code = beamfield([str(word) for word in words])
+    given = code == 1
+    if given:
+        code = beamfield([str(word) for word in [*words, *start]])
+    said: dict[str, Any] = {"agrees": "", "start given": "yes" if given else "no", "code": code}
+    document, shifted = folder / "out/calibration.json", folder / "out/amcl_map.yaml"
+    if document.exists():
+        findings = json.loads(document.read_text())["findings"]
+        agrees = [one["values"]["median_agreement"] for one in findings if "median_agreement" in one["values"]]
+        said["agrees"] = f"{agrees[0]:.0%}" if agrees else ""
+    for when, file, grid in (("before", before, folder / "map.yaml"), ("after", after, shifted)):
+        settings = read_filter_settings(read_stack_file(file, stack="nav2"))
+        its = read_map(grid if grid.exists() else folder / "map.yaml")
+        trials = run_trials(settings.filter(its), judged.only_sensor(), SEEDS)
+        said |= {f"{when} [m]": f"{trials.mean('mean'):.3f}", f"lost {when}": f"{trials.n_lost} of {len(trials)}"}
+    return said
+
+
+def changed(plan: OccupancyGrid, kept: float, boxes: int, rng: np.random.Generator) -> OccupancyGrid:
+    """Return the place as it is now, where the map was drawn before."""
+    cells = plan.probability.copy()
+    things, n = ndimage.label(plan.occupied, np.ones((3, 3)))
+    areas = ndimage.sum(plan.occupied, things, range(1, n + 1)) * plan.resolution**2
+    small = np.flatnonzero(areas < SMALL) + 1
+    cells[np.isin(things, small[rng.random(len(small)) > kept])] = 0.0
+    free = np.argwhere(plan.free)
+    for row, col in free[rng.integers(len(free), size=boxes)]:
+        height, width = (rng.uniform(*BOX, 2) / plan.resolution).astype(int)
+        box = np.s_[row : row + height, col : col + width]
+        cells[box] = np.where(plan.free[box], 1.0, cells[box])
+    return replace(plan, probability=cells)
+
+
+def bent(plan: OccupancyGrid, rng: np.random.Generator) -> OccupancyGrid:
+    """Return the map with walls a little off, differently every few metres."""
+    moved = [ndimage.gaussian_filter(rng.normal(size=plan.shape), SMOOTH / plan.resolution) for _ in range(2)]
+    row, col = (
+        np.clip(np.rint(at + by / by.std() * WALLS / plan.resolution).astype(int), 0, n - 1)
+        for at, by, n in zip(np.indices(plan.shape), moved, plan.shape, strict=True)
+    )
+    return replace(plan, probability=plan.probability[row, col])
+
+
+if __name__ == "__main__":
+    main([int(word) for word in sys.argv[1:]] or [12])

@@ -117,8 +117,11 @@ def test_a_bag_without_static_transforms_says_so_and_what_to_do(tmp_path):
         read_bag(bag.write(tmp_path, "other"))
 
 
-def test_a_given_mount_replaces_the_one_that_the_bag_lacks(tmp_path):
+@pytest.mark.parametrize("has_footprint", [False, True])
+def test_a_given_mount_replaces_the_one_that_the_bag_lacks(has_footprint, tmp_path):
     bag = MiniBag().tf("odom", "base_link", 1.0).tf("odom", "base_link", 2.0, (1.0, 0.0, 0.0)).scan(1.5)
+    if has_footprint:
+        bag.tf("base_link", "base_footprint", 1.0).tf("base_link", "base_footprint", 2.0)
     path = bag.write(tmp_path)
     with pytest.raises(FormatError, match="'laser'"):
         read_bag(path)

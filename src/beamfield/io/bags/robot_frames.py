@@ -153,9 +153,10 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
 
 
 def _are_fixed(content: BagContent, base: str) -> bool:
-    """Return whether no sensor moves on this frame."""
-    with_frames = [s for s in content.scans if s.topic not in content.cones]
-    mounts = (content.frames.look_up(base, strip_slash(s.frame), s.stamps, hold=True) for s in with_frames)
+    """Return whether no sensor is seen to move on this frame: with a mount given, its frame may be missing."""
+    scans = [s for s in content.scans if s.topic not in content.cones]
+    seen = [s for s in scans if content.frames.connected(base, strip_slash(s.frame))]
+    mounts = (content.frames.look_up(base, strip_slash(s.frame), s.stamps, hold=True) for s in seen)
     return not any(_moves(*_motion(mount)) for mount in mounts)
 
 

@@ -358,13 +358,17 @@ def test_given_limits_replace_the_declared_ones_and_include_what_float32_rounded
     assert finder.min_range == pytest.approx(0.2)
 
 
-def scans_of(tmp_path, ranges, **options):
-    limits = {k: options.pop(k) for k in ("range_min", "range_max") if k in options}
+def bag_of(tmp_path, ranges, **limits):
     bag = MiniBag()
     for i, row in enumerate(ranges):
         bag.scan(float(i + 1), row, **limits)
     tmp_path.mkdir(exist_ok=True)
-    return read_bag(bag.write(tmp_path), **options).only_sensor()
+    return bag.write(tmp_path)
+
+
+def scans_of(tmp_path, ranges, **options):
+    limits = {k: options.pop(k) for k in ("range_min", "range_max") if k in options}
+    return read_bag(bag_of(tmp_path, ranges, **limits), **options).only_sensor()
 
 
 def ordinary_ranges(rng, n=100, k=20, low=0.5, high=6.0):
@@ -410,6 +414,18 @@ def test_zeros_mean_no_return_beside_measurements_beyond_the_limit(rng, tmp_path
     sensor = scans_of(tmp_path / "word", ranges)
     assert sensor.no_return.values == ()
     assert "are 0, taken as too close, unless no_return names 0 as well" in sensor.no_return.explanation
+
+
+def test_a_declared_limit_that_many_readings_pass_is_doubted_once_and_not_one_that_was_given(rng, tmp_path):
+    ranges = ordinary_ranges(rng)
+    far = rng.random(ranges.shape) < 0.1
+    ranges[far] = 60.0  # one value is the sensor's word for "no return"
+    assert not any("range_max" in note for note in read_bag(bag_of(tmp_path, ranges)).notes)
+    ranges[far] = np.round(rng.uniform(11.0, 24.0, int(far.sum())), 2)
+    path = bag_of(tmp_path / "different", ranges)
+    (note,) = (note for note in read_bag(path).notes if "range_max" in note)
+    assert note.startswith("/scan: 10% of the readings are beyond the declared range_max of 10 m, up to 23.86 m")
+    assert not any("range_max" in note for note in read_bag(path, max_range=8.0).notes)
 
 
 def test_rare_zeros_of_a_sensor_without_lower_limit_are_no_measurement(rng, tmp_path):

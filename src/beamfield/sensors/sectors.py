@@ -1,4 +1,4 @@
-"""Runs of neighbouring beams in words, and as options that mask them."""
+"""Runs of neighbouring beams by their bearings, and as options that mask them."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ MOST_SECTORS = 5
 
 
 def sectors(bearings: FloatArray, chosen: NDArray[np.bool_]) -> tuple[str, str]:
-    """Return which beams (k,) are chosen, by number and bearing, and the options of a command that mask them.
+    """Return where the chosen beams (k,) are, and the options of a command that mask them.
+
+    Not by number: where poses are fitted, only every second beam of the sensor is looked at.
 
     Examples
     --------
-    >>> sectors(np.radians([0.0, 1.0, 2.0, 3.0]), np.array([False, True, False, False]))
-    ('beam 1 (bearing 1 degrees)', '--mask=0.9:1.1')
+    >>> sectors(np.radians([0.0, 1.0, 2.0, 3.0]), np.array([True, False, True, True]))
+    ('bearings 0, 1.9 to 3.1 degrees', '--mask=-0.1:0.1 --mask=1.9:3.1')
     """
     beams = np.flatnonzero(chosen)
     runs = np.split(beams, np.flatnonzero(np.diff(beams) > 1) + 1)
     ends = [_ends(bearings[run]) for run in runs[:MOST_SECTORS]]
-    shown = ", ".join(_named(run, bearings, *end) for run, end in zip(runs, ends, strict=False))
+    only = np.degrees(wrap_angle(bearings)).round(1) + 0.0
+    shown = ", ".join(
+        f"{first:g} to {last:g}" if len(run) > 1 else f"{only[run[0]]:g}"
+        for run, (first, last) in zip(runs, ends, strict=False)
+    )
     more = f" and {len(runs) - MOST_SECTORS} more sectors" if len(runs) > MOST_SECTORS else ""
-    noun = "beam" if len(beams) == 1 else "beams"
-    return f"{noun} {shown}{more}", " ".join(f"--mask={first:g}:{last:g}" for first, last in ends)
-
-
-def _named(run: NDArray[np.intp], bearings: FloatArray, first: float, last: float) -> str:
-    if len(run) > 1:
-        return f"{run[0]}..{run[-1]} (bearings {first:g} to {last:g} degrees)"
-    return f"{run[0]} (bearing {np.degrees(wrap_angle(bearings[run[0]])).round(1) + 0.0:g} degrees)"
+    noun = "bearing" if len(beams) == 1 else "bearings"
+    return f"{noun} {shown} degrees{more}", " ".join(f"--mask={first:g}:{last:g}" for first, last in ends)
 
 
 def _ends(bearings: FloatArray) -> tuple[float, float]:

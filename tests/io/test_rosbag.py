@@ -312,6 +312,19 @@ def test_of_robots_with_topics_of_transforms_of_their_own_each_has_its_own_frame
         read_bag(path)
 
 
+@pytest.mark.parametrize("own_first", [True, False])
+def test_of_transforms_on_the_robots_own_topic_and_on_the_common_one_its_own_count(own_first, tmp_path):
+    bag = MiniBag()
+    robots = [("robot1", 1.0, "/robot1"), ("robot2", 2.0, "")]
+    for name, speed, tf in robots if own_first else robots[::-1]:
+        add_robot(bag, name, speed, tf=tf)
+    path = bag.write(tmp_path)
+    own, common = (read_bag(path, sensor_topic=f"/{name}/scan").only_sensor() for name in ("robot1", "robot2"))
+    assert np.allclose(own.odometry[:, 0], np.arange(4.0))
+    assert np.allclose(own.finder.mounts[:, 0], 0.1)
+    assert np.allclose(common.odometry[:, 0], 2.0 * np.arange(4.0))
+
+
 def test_scans_of_several_robots_are_refused_with_what_to_do(tmp_path):
     bag = MiniBag()
     for one, fast in (("robot1", 1.0), ("robot2", 2.0)):

@@ -204,6 +204,7 @@ def _add_transforms(frames: TransformBuffer, message: BagMessage) -> None:
             (q.x, q.y, q.z, q.w),
             static=static,
             place=message.place,
+            depth=message.topic.count("/"),
         )
 
 

@@ -335,6 +335,14 @@ def test_scans_of_several_robots_are_refused_with_what_to_do(tmp_path):
         read_bag(bag.write(tmp_path))
 
 
+def test_of_scans_of_robots_that_nothing_connects_one_has_to_be_chosen(tmp_path):
+    bag = MiniBag()
+    for one, fast in (("robot1", 1.0), ("robot2", 2.0)):
+        add_robot(bag, one, fast, frames=f"{one}/")
+    with pytest.raises(FormatError, match=r"of several robots.*choose one by sensor_topic: the bag has '/robot1/scan'"):
+        read_bag(bag.write(tmp_path))
+
+
 def test_odometry_of_another_robot_is_not_taken_where_no_bag_has_transforms(tmp_path):
     bag = MiniBag()
     for one, x in (("robot1", 1.0), ("robot2", 2.0)):

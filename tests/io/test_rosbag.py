@@ -40,6 +40,20 @@ def test_scans_odometry_and_mount_come_out_of_every_storage(storage, tmp_path):
     assert any("no reference" in note or "reference poses: none" in note for note in log.notes)
 
 
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_a_bag_that_was_split_is_read_whole_and_a_note_says_so_where_one_file_is_named(storage, tmp_path):
+    first = drive(MiniBag(storage)).scan(101.0).write(tmp_path)
+    second = MiniBag(storage).scan(102.0).write(tmp_path, "b")
+    suffix = {"sqlite3": ".db3", "mcap": ".mcap"}[storage]
+    (second / f"b{suffix}").rename(first / f"b{suffix}")
+    metadata = (first / "metadata.yaml").read_text()
+    (first / "metadata.yaml").write_text(metadata.replace(f"  - log{suffix}\n", f"  - log{suffix}\n  - b{suffix}\n"))
+    for path, n_notes in ((first, 0), (first / f"b{suffix}", 1)):
+        log = read_bag(path)
+        assert log.only_sensor().stamps.tolist() == [101.0, 102.0]
+        assert sum("is one of 2 files of a bag: all of them were read" in note for note in log.notes) == n_notes
+
+
 def test_a_sensor_upside_down_has_clockwise_bearings_and_its_mount_mirrored(tmp_path):
     bag = MiniBag().tf("base_link", "laser", 0.0, (0.3, 0.1, 0.5), quaternion(roll=np.pi, yaw=0.4), static=True)
     bag.scan(1.0, [1.0, 2.0, 3.0], angle_min=-0.5, increment=0.5)

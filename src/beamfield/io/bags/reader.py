@@ -183,6 +183,8 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
         for s in scans
         if counts[s.topic] != len(s.stamps)
     ]
+    if bag.n_files > 1 and bag.path.is_file():
+        notes.append(f"{bag.path.name} is one of {bag.n_files} files of a bag: all of them were read")
     return BagContent(bag.path, scans, frames, pose_topics, set(rangers), ranger_odometry, notes)
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib
 import inspect
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -72,3 +74,30 @@ def test_the_import_loads_nothing_and_a_name_what_it_needs():
         "bf.RangeFinder; assert 'numpy' in sys.modules and 'numba' not in sys.modules and 'scipy' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+MISSING = dataclasses.MISSING
+
+
+def given_fields(kind):
+    return [one for one in dataclasses.fields(kind) if one.init] if dataclasses.is_dataclass(kind) else []
+
+
+def must_have(field):
+    return field.default is MISSING and field.default_factory is MISSING
+
+
+@pytest.mark.parametrize(
+    "name",
+    [n for n in bf.__all__ if any("Array" in one.type and must_have(one) for one in given_fields(getattr(bf, n)))],
+)
+def test_type_checkers_let_lists_pass_where_a_constructor_makes_arrays_of_them(name):
+    said = ast.walk(ast.parse(textwrap.dedent(inspect.getsource(getattr(bf, name)))))
+    (declared,) = (one for one in said if isinstance(one, ast.FunctionDef) and one.name == "__init__")
+    hints = {one.arg: ast.unparse(one.annotation) for one in declared.args.args[1:]}
+    fields = given_fields(getattr(bf, name))
+    assert list(hints) == [one.name for one in fields]
+    assert all(hints[one.name].startswith("ArrayLike") for one in fields if "Array" in one.type)
+    optional = [one for one in fields if not must_have(one)]
+    expected = [... if one.default is MISSING else one.default for one in optional]
+    assert [ast.literal_eval(one) for one in declared.args.defaults] == expected

@@ -40,9 +40,8 @@ def test_posts_of_the_robot_are_named_by_bearing_and_range(log: SensorLog) -> No
     noise = np.random.default_rng(0).normal(0.0, 0.005, (len(log), 5))
     (found,) = robot_in_sight(seeing(log, [3, 4, 5, 36, 70], 0.25 + noise))
     assert found.name == "robot-in-sight"
-    expected = "3..5 (bearings -165.1 to -154.9 degrees), 36..36 (bearings -0.1 to 0.1 degrees)"
-    assert found.text.startswith(f"Beams {expected}, 70..70 (")
-    assert " read 0.25 m wherever the robot was: " in found.text
+    where = "At bearings -165.1 to -154.9, 0, 170 degrees the readings are 0.25 m wherever the robot was: "
+    assert found.text.startswith(where)
     assert "(--mask=-165.1:-154.9 --mask=-0.1:0.1 --mask=" in found.do
     assert found.values["share_of_beams"] == pytest.approx(5 / 72)
 
@@ -52,7 +51,7 @@ def test_the_floor_before_a_tilted_laser_is_named(log: SensorLog) -> None:
     ahead = np.flatnonzero(np.abs(bearings) < 0.6)
     noise = np.random.default_rng(0).normal(0.0, 0.01, (len(log), len(ahead)))
     (found,) = robot_in_sight(seeing(log, list(ahead), (1.2 + noise) / np.cos(bearings[ahead])))
-    assert found.text.startswith("Beams 30..42 (bearings -30.1 to 30.1 degrees) read 1.20 to 1.39 m wherever")
+    assert found.text.startswith("At bearings -30.1 to 30.1 degrees the readings are 1.20 to 1.39 m wherever")
 
 
 @pytest.mark.parametrize("reading", [0.05, 8.0, np.nan])
@@ -85,4 +84,4 @@ def test_commands_that_read_a_log_say_so(log: SensorLog, tmp_path: Path) -> None
     for findings in (examined, fitted.findings, learned.findings):
         assert [finding.name for finding in findings].count("robot-in-sight") == 1
     notes = log_facts(ScanLog({"front": posts}))["notes"]
-    assert any(note.startswith("front: Beams 36..36 (bearings -0.1 to 0.1 degrees) read 0.25 m") for note in notes)
+    assert any(note.startswith("front: At bearing 0 degrees the readings are 0.25 m") for note in notes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,6 +58,17 @@ class Detections:
     signatures: FloatArray | None = None
     ids: NDArray[np.int64] | None = None
     stamp: float = 0.0
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            ranges: ArrayLike,
+            bearings: ArrayLike,
+            signatures: ArrayLike | None = None,
+            ids: ArrayLike | None = None,
+            stamp: float = 0.0,
+        ) -> None: ...
 
     __repr__ = short_repr
 

@@ -40,6 +40,14 @@ def test_the_doctor_is_content_with_a_good_file(good, capsys):
     assert out.splitlines()[-1] == "nothing found"
 
 
+def test_the_doctor_says_whose_file_it_takes_it_for_where_that_is_not_sure(good, capsys):
+    main(["doctor", str(good)])
+    assert "read as" not in capsys.readouterr().err
+    good.write_text(GOOD.replace("    model_unknown_space: false\n", ""))
+    main(["doctor", str(good)])
+    assert "note: read as nav2's; pass --stack beluga if that is what the robot runs" in capsys.readouterr().err
+
+
 def test_the_doctor_names_what_is_wrong(good, capsys):
     good.write_text(GOOD.replace("z_rand: 0.1", "z_rand: .nan"))
     assert main(["doctor", str(good)]) == 1

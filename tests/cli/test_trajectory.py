@@ -61,7 +61,7 @@ def test_a_log_of_another_building_is_refused_and_nothing_written(folder: Path, 
     out = folder / "wrong.tum"
     assert main(["trajectory", str(folder / "run.log"), "--map", str(folder / "other.yaml"), "-o", str(out)]) == 3
     error = capsys.readouterr().err
-    assert "another building, a map out of date, a drive beyond it, or wrong odometry?); best starts: (" in error
+    assert "out of date or of wrong resolution, a drive beyond it, or wrong odometry?); best starts: (" in error
     assert "sonar" not in error
     assert not out.exists()
 

@@ -40,6 +40,20 @@ def test_scans_odometry_and_mount_come_out_of_every_storage(storage, tmp_path):
     assert any("no reference" in note or "reference poses: none" in note for note in log.notes)
 
 
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_a_bag_that_was_split_is_read_whole_and_a_note_says_so_where_one_file_is_named(storage, tmp_path):
+    first = drive(MiniBag(storage)).scan(101.0).write(tmp_path)
+    second = MiniBag(storage).scan(102.0).write(tmp_path, "b")
+    suffix = {"sqlite3": ".db3", "mcap": ".mcap"}[storage]
+    (second / f"b{suffix}").rename(first / f"b{suffix}")
+    metadata = (first / "metadata.yaml").read_text()
+    (first / "metadata.yaml").write_text(metadata.replace(f"  - log{suffix}\n", f"  - log{suffix}\n  - b{suffix}\n"))
+    for path, n_notes in ((first, 0), (first / f"b{suffix}", 1)):
+        log = read_bag(path)
+        assert log.only_sensor().stamps.tolist() == [101.0, 102.0]
+        assert sum("is one of 2 files of a bag: all of them were read" in note for note in log.notes) == n_notes
+
+
 def test_a_sensor_upside_down_has_clockwise_bearings_and_its_mount_mirrored(tmp_path):
     bag = MiniBag().tf("base_link", "laser", 0.0, (0.3, 0.1, 0.5), quaternion(roll=np.pi, yaw=0.4), static=True)
     bag.scan(1.0, [1.0, 2.0, 3.0], angle_min=-0.5, increment=0.5)
@@ -117,8 +131,11 @@ def test_a_bag_without_static_transforms_says_so_and_what_to_do(tmp_path):
         read_bag(bag.write(tmp_path, "other"))
 
 
-def test_a_given_mount_replaces_the_one_that_the_bag_lacks(tmp_path):
+@pytest.mark.parametrize("has_footprint", [False, True])
+def test_a_given_mount_replaces_the_one_that_the_bag_lacks(has_footprint, tmp_path):
     bag = MiniBag().tf("odom", "base_link", 1.0).tf("odom", "base_link", 2.0, (1.0, 0.0, 0.0)).scan(1.5)
+    if has_footprint:
+        bag.tf("base_link", "base_footprint", 1.0).tf("base_link", "base_footprint", 2.0)
     path = bag.write(tmp_path)
     with pytest.raises(FormatError, match="'laser'"):
         read_bag(path)
@@ -309,6 +326,19 @@ def test_of_robots_with_topics_of_transforms_of_their_own_each_has_its_own_frame
         read_bag(path)
 
 
+@pytest.mark.parametrize("own_first", [True, False])
+def test_of_transforms_on_the_robots_own_topic_and_on_the_common_one_its_own_count(own_first, tmp_path):
+    bag = MiniBag()
+    robots = [("robot1", 1.0, "/robot1"), ("robot2", 2.0, "")]
+    for name, speed, tf in robots if own_first else robots[::-1]:
+        add_robot(bag, name, speed, tf=tf)
+    path = bag.write(tmp_path)
+    own, common = (read_bag(path, sensor_topic=f"/{name}/scan").only_sensor() for name in ("robot1", "robot2"))
+    assert np.allclose(own.odometry[:, 0], np.arange(4.0))
+    assert np.allclose(own.finder.mounts[:, 0], 0.1)
+    assert np.allclose(common.odometry[:, 0], 2.0 * np.arange(4.0))
+
+
 def test_scans_of_several_robots_are_refused_with_what_to_do(tmp_path):
     bag = MiniBag()
     for one, fast in (("robot1", 1.0), ("robot2", 2.0)):
@@ -316,6 +346,14 @@ def test_scans_of_several_robots_are_refused_with_what_to_do(tmp_path):
     with pytest.raises(
         FormatError, match=r"/robot2/scan: .* moves on 'robot1/base_link'.*choose scans by sensor_topic"
     ):
+        read_bag(bag.write(tmp_path))
+
+
+def test_of_scans_of_robots_that_nothing_connects_one_has_to_be_chosen(tmp_path):
+    bag = MiniBag()
+    for one, fast in (("robot1", 1.0), ("robot2", 2.0)):
+        add_robot(bag, one, fast, frames=f"{one}/")
+    with pytest.raises(FormatError, match=r"of several robots.*choose one by sensor_topic: the bag has '/robot1/scan'"):
         read_bag(bag.write(tmp_path))
 
 
@@ -355,13 +393,17 @@ def test_given_limits_replace_the_declared_ones_and_include_what_float32_rounded
     assert finder.min_range == pytest.approx(0.2)
 
 
-def scans_of(tmp_path, ranges, **options):
-    limits = {k: options.pop(k) for k in ("range_min", "range_max") if k in options}
+def bag_of(tmp_path, ranges, **limits):
     bag = MiniBag()
     for i, row in enumerate(ranges):
         bag.scan(float(i + 1), row, **limits)
     tmp_path.mkdir(exist_ok=True)
-    return read_bag(bag.write(tmp_path), **options).only_sensor()
+    return bag.write(tmp_path)
+
+
+def scans_of(tmp_path, ranges, **options):
+    limits = {k: options.pop(k) for k in ("range_min", "range_max") if k in options}
+    return read_bag(bag_of(tmp_path, ranges, **limits), **options).only_sensor()
 
 
 def ordinary_ranges(rng, n=100, k=20, low=0.5, high=6.0):
@@ -407,6 +449,18 @@ def test_zeros_mean_no_return_beside_measurements_beyond_the_limit(rng, tmp_path
     sensor = scans_of(tmp_path / "word", ranges)
     assert sensor.no_return.values == ()
     assert "are 0, taken as too close, unless no_return names 0 as well" in sensor.no_return.explanation
+
+
+def test_a_declared_limit_that_many_readings_pass_is_doubted_once_and_not_one_that_was_given(rng, tmp_path):
+    ranges = ordinary_ranges(rng)
+    far = rng.random(ranges.shape) < 0.1
+    ranges[far] = 60.0  # one value is the sensor's word for "no return"
+    assert not any("range_max" in note for note in read_bag(bag_of(tmp_path, ranges)).notes)
+    ranges[far] = np.round(rng.uniform(11.0, 24.0, int(far.sum())), 2)
+    path = bag_of(tmp_path / "different", ranges)
+    (note,) = (note for note in read_bag(path).notes if "range_max" in note)
+    assert note.startswith("/scan: 10% of the readings are beyond the declared range_max of 10 m, up to 23.86 m")
+    assert not any("range_max" in note for note in read_bag(path, max_range=8.0).notes)
 
 
 def test_rare_zeros_of_a_sensor_without_lower_limit_are_no_measurement(rng, tmp_path):

@@ -130,6 +130,7 @@ def test_a_log_without_odometry_and_a_map_without_room_are_refused(localizer, dr
         replace(localizer, options=FilterOptions(recovery=Recovery()))
     cut_short = run(replace(localizer, n_anywhere=20_000), drive[:2], start=None)
     assert [finding.name for finding in cut_short.findings] == ["not-found"]
+    assert "sure of no place" in cut_short.findings[0].text
     with pytest.raises(InvalidInputError, match="n_anywhere"):
         replace(localizer, n_anywhere=0)
 
@@ -160,6 +161,16 @@ def test_a_place_that_scans_contradict_is_given_up_and_the_robot_found_elsewhere
     assert off[-50:].max() < 0.3
 
 
+def test_a_robot_that_is_found_late_is_told_from_one_that_is_not_found(localizer, drive):
+    found = run(replace(localizer, n_anywhere=20_000), drive, start=None)
+    first = found.updates[np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2) < 0.1][0]
+    last = found.updates[found.updates > first][4]
+    (late,) = run(replace(localizer, n_anywhere=20_000), drive[: last + 1], start=None).findings
+    assert late.name == "not-found"
+    assert late.text.startswith("The filter is sure of its place, but only for the last ")
+    assert 1 <= late.values["count"] < 12
+
+
 @pytest.mark.real
 def test_wean_hall_is_followed_and_found_from_anywhere_though_a_wrong_place_fits_better_for_a_minute(data):
     import beamfield as bf
@@ -184,5 +195,6 @@ def test_wean_hall_is_followed_and_found_from_anywhere_though_a_wrong_place_fits
     assert np.nanmax(off[found.updates][sure]) < 0.6
     # For ten scans only, which proves nothing; the wrong place is not told by its readings.
     assert [finding.name for finding in found.findings] == ["not-found"]
+    assert "only for the last 10 scans used" in found.findings[0].text
     assert too_sure.findings == ()
     assert np.nanmin(astray[len(log) // 2 :]) > 5.0

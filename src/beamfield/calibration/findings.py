@@ -136,7 +136,7 @@ def blind_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
     yield Finding(
         "blind-beams",
         "warning",
-        f"Beams {shown} never return although the map has something there: parts of the robot, most likely.",
+        f"Nothing returns at {shown} although the map has something there: parts of the robot, most likely.",
         {"n_beams": float(blind.sum()), "share": share},
         why=f"They are {share:.1%} of the readings and count in z_max.",
         do=f"Mask them ({options}).",

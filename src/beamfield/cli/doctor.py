@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 # What is said of the motion noise is said of the fault where the odometry, the laser's mount or a clock is wrong.
 MOTION_NOISE = ("motion-noise-narrow", "motion-noise-wide")
+# A fault of some builds of nav2, which files do not tell apart.
+ONLY_IF_LOST = "distance-queue-uninitialised"
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
@@ -84,19 +86,22 @@ def run(arguments: argparse.Namespace) -> Outcome:
         grid, map_file = (None, None) if arguments.map is None else _read_map(arguments)
         log = None
         frames: tuple[str, ...] = ()
-        notes: tuple[str, ...] = ()
+        notes = (file.uncertainty,) if file.uncertainty else ()
         if arguments.log is not None:
             whole = options.read_log_of_one_sensor(arguments)
-            log, frames, notes = whole.only_sensor(), whole.frames, whole.notes
+            log, frames, notes = whole.only_sensor(), whole.frames, (*notes, *whole.notes)
         if log is not None and grid is not None:
             log, of_poses, more = _posed(log, grid, arguments, progress)
             notes = (*notes, *more)
         progress("examining", 0, 1)
         found = examine(file, grid=grid, map_file=map_file, log=log, frames=frames)
-    of_robot = {item.name for item in of_poses}
-    hidden = MOTION_NOISE if of_robot & set(OF_THE_ROBOT) else ()
+    hidden = {item.name for item in of_poses}
+    if "own-poses-lost" not in hidden:
+        hidden.add(ONLY_IF_LOST)
+    if hidden & set(OF_THE_ROBOT):
+        hidden.update(MOTION_NOISE)
     # The robot's own faults come first: no value of a parameter mends them.
-    found = worst_first((*of_poses, *(item for item in found if item.name not in (*of_robot, *hidden))))
+    found = worst_first((*of_poses, *(item for item in found if item.name not in hidden)))
     code = 1 if any(item.severity != "info" for item in found) else 0
     return Outcome(_counts(found), _as_text(file, found), _as_document(file, found), notes, code=code)
 

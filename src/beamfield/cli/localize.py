@@ -51,7 +51,7 @@ INDEPENDENT_BEAMS = 1.8
 PARTICLES, PARTICLES_RECOVERING = 2000, 50_000
 
 # Findings after which the poses are not to be trusted.
-PROBLEMS = {"robot-lost": "the robot is most likely lost", "not-found": "the robot has not been found"}
+PROBLEMS = {"robot-lost": "the robot is most likely lost", "not-found": "the robot has not been found for sure"}
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:

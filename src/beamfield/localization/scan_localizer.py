@@ -178,7 +178,9 @@ class ScanLocalizer:
             poses[i] = own.pose
         counts["odometry-jumps"] += own.odometry_jumps
         proving = JUDGED_SCANS if searched_from > 0 else PROVING_SCANS
-        counts["not-found"] = int(not own.is_found or (coarse is not None and not place.is_proven(proving)))
+        is_late = own.is_found and coarse is not None and not place.is_proven(proving)
+        counts["found-late"] = place.n_scans if is_late else 0
+        counts["not-found"] = int(not own.is_found or (is_late and place.n_scans == 0))
         counts["stamps-back"] = int((np.diff(log.stamps) < 0.0).sum())
         return Localization(
             poses,
@@ -209,20 +211,25 @@ class _FoundPlace:
         self._log, self._grid = log, grid
         self._shares = deque[float](maxlen=JUDGED_SCANS)
 
+    @property
+    def n_scans(self) -> int:
+        """How many scans have been judged, at most `JUDGED_SCANS`."""
+        return len(self._shares)
+
     @cached_property
     def _caster(self) -> RayCaster:
         return RayCaster(self._grid)
 
     def is_proven(self, n_scans: int) -> bool:
         """Return whether so many scans have not contradicted it; cones of a sonar tell nothing."""
-        return self._log.finder.opening_angle > 0.0 or len(self._shares) >= n_scans
+        return self._log.finder.opening_angle > 0.0 or self.n_scans >= n_scans
 
     def is_wrong(self, i: int, pose: FloatArray) -> bool:
         """Return whether the scans contradict the place, the i-th one taken at a pose included."""
         share = float(scan_agreement(self._log[i : i + 1], self._grid, pose[None], caster=self._caster)[0])
         if np.isfinite(share) and self._log.finder.opening_angle == 0.0:
             self._shares.append(share)
-        return len(self._shares) == JUDGED_SCANS and float(np.mean(self._shares)) < CONTRADICTED
+        return self.n_scans == JUDGED_SCANS and float(np.mean(self._shares)) < CONTRADICTED
 
 
 def _is_repeated(log: SensorLog, i: int, given: int) -> bool:
@@ -244,7 +251,12 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
     ),
     "not-found": (
         "warning",
-        "The robot has not been found: at the end the filter is sure of no place, or only since the last few scans.",
+        "The robot has not been found: at the end the filter is sure of no place.",
+        "The poses are a best guess. Drive on, or give a start; beamfield trajectory searches by the whole log.",
+    ),
+    "found-late": (
+        "warning",
+        "The filter is sure of its place, but only for the last {n} scans used: so few fit somewhere in any map.",
         "The poses are a best guess. Drive on, or give a start; beamfield trajectory searches by the whole log.",
     ),
     "searched-again": (
@@ -270,8 +282,9 @@ def _findings(counts: Mapping[str, int], n_scans: int) -> tuple[Finding, ...]:
     def words(n: int) -> dict[str, object]:
         return {"n": n, "t": n_scans, "times": "once" if n == 1 else f"{n} times"}
 
-    return worst_first(
-        Finding(name, severity, text.format(**words(counts[name])), {"count": float(counts[name])}, do=done)
-        for name, (severity, text, done) in _TEXTS.items()
-        if counts[name]
-    )
+    def finding(name: str, severity: Severity, text: str, done: str) -> Finding:
+        # Found late is not found, as far as it matters.
+        named, n = "not-found" if name == "found-late" else name, counts[name]
+        return Finding(named, severity, text.format(**words(n)), {"count": float(n)}, do=done)
+
+    return worst_first(finding(name, *texts) for name, texts in _TEXTS.items() if counts[name])

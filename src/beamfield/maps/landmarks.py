@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, keep, require
 from beamfield.detections import finite_copy
@@ -55,6 +55,16 @@ class LandmarkMap(MapWithIds):
     ids: NDArray[np.int64] = None  # type: ignore[assignment]  # always there once constructed
     signatures: FloatArray | None = None
     kind: SignatureKind = None  # type: ignore[assignment]  # the same
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            positions: ArrayLike,
+            ids: ArrayLike | None = None,
+            signatures: ArrayLike | None = None,
+            kind: SignatureKind | None = None,
+        ) -> None: ...
 
     __repr__ = short_repr
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,6 +56,12 @@ class LineMap(MapWithIds):
     ids: NDArray[np.int64] = None  # type: ignore[assignment]  # always there once constructed
     segments: FloatArray | None = None
 
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self, lines: ArrayLike, ids: ArrayLike | None = None, segments: ArrayLike | None = None
+        ) -> None: ...
+
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
@@ -105,7 +112,7 @@ class LineMap(MapWithIds):
         # The middle is nearer to the line than an end where rounding turns a short segment.
         middle = 0.5 * (ends[:, :2] + ends[:, 2:])
         rho = np.cos(alpha) * middle[:, 0] + np.sin(alpha) * middle[:, 1]
-        return cls(np.column_stack([rho, alpha]), ids, ends)  # type: ignore[arg-type]
+        return cls(np.column_stack([rho, alpha]), ids, ends)
 
     def __len__(self) -> int:
         return len(self.lines)

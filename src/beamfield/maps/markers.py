@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, keep, require
 from beamfield.errors import InvalidInputError
@@ -42,6 +43,10 @@ class MarkerMap:
     ids: Sequence[MarkerId]
     poses: FloatArray
     _rows: dict[MarkerId, int] = field(init=False, repr=False)
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(self, ids: Sequence[MarkerId], poses: ArrayLike) -> None: ...
 
     __repr__ = short_repr
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,6 +58,17 @@ class OccupancyGrid:
     origin: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     occupied_thresh: float = 0.65
     free_thresh: float = 0.25
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            probability: ArrayLike,
+            resolution: float,
+            origin: ArrayLike = (0.0, 0.0, 0.0),
+            occupied_thresh: float = 0.65,
+            free_thresh: float = 0.25,
+        ) -> None: ...
 
     __repr__ = short_repr
 

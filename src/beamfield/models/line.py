@@ -205,7 +205,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
         seen = self.lines.ids if ids is None else np.asarray(ids, dtype=np.int64)
         noise_free = self.expected(robot)[:, self.lines.indices_of(seen)]
         shape = noise_free.shape[:2]
-        brought = LineDetections(np.zeros((len(seen), 2)), covariances).covariances  # type: ignore[arg-type]
+        brought = LineDetections(np.zeros((len(seen), 2)), covariances).covariances
         total = self._total_covariances(brought, len(seen))
         sigma_alpha = np.sqrt(total[:, 1, 1])
         turn = np.stack([sample_wrapped(float(s), shape[:1], rng) for s in sigma_alpha], axis=1).reshape(shape)

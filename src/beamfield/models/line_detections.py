@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,6 +78,16 @@ class LineDetections:
     covariances: FloatArray | None = None
     segments: FloatArray | None = None
     ids: NDArray[np.int64] | None = None
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            lines: ArrayLike,
+            covariances: ArrayLike | None = None,
+            segments: ArrayLike | None = None,
+            ids: ArrayLike | None = None,
+        ) -> None: ...
 
     __repr__ = short_repr
 

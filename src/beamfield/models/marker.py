@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,6 +52,10 @@ class MarkerDetections:
     ids: Sequence[MarkerId]
     image: FloatArray
     stamp: float = 0.0
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(self, ids: Sequence[MarkerId], image: ArrayLike, stamp: float = 0.0) -> None: ...
 
     __repr__ = short_repr
 

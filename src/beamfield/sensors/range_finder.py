@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,6 +58,17 @@ class RangeFinder:
     min_range: float = 0.0
     opening_angle: float = 0.0
     name: str = ""
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            mounts: ArrayLike,
+            max_range: float,
+            min_range: float = 0.0,
+            opening_angle: float = 0.0,
+            name: str = "",
+        ) -> None: ...
 
     __repr__ = short_repr
 

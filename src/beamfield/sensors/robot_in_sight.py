@@ -45,8 +45,8 @@ def robot_in_sight(log: SensorLog) -> Iterator[Finding]:
     yield Finding(
         "robot-in-sight",
         "warning",
-        f"Beams {shown} read {metres} wherever the robot was: they see the robot itself, or, if the laser is tilted, "
-        "the floor.",
+        f"At {shown} the readings are {metres} wherever the robot was: they are of the robot itself, or, if the laser "
+        "is tilted, of the floor.",
         {"share_of_beams": float(same.mean()), "least_m": low, "most_m": high},
         why="To a filter these are walls or people.",
         do=f"Mask them here ({options}) and on the robot (ROS: LaserScanBoxFilter of laser_filters leaves out what is "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +45,10 @@ class Scan:
     ranges: FloatArray
     finder: RangeFinder
     stamp: float = 0.0
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(self, ranges: ArrayLike, finder: RangeFinder, stamp: float = 0.0) -> None: ...
 
     __repr__ = short_repr
 

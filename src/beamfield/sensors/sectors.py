@@ -1,4 +1,4 @@
-"""Runs of neighbouring beams in words, and as options that mask them."""
+"""Runs of neighbouring beams by their bearings, and as options that mask them."""
 
 from __future__ import annotations
 
@@ -7,23 +7,33 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.geometry import FloatArray
+from beamfield.geometry import FloatArray, wrap_angle
 
 # More do not help.
 MOST_SECTORS = 5
 
 
 def sectors(bearings: FloatArray, chosen: NDArray[np.bool_]) -> tuple[str, str]:
-    """Return which beams (k,) are chosen, by number and bearing, and the options of a command that mask them."""
+    """Return where the chosen beams (k,) are, and the options of a command that mask them.
+
+    Not by number: where poses are fitted, only every second beam of the sensor is looked at.
+
+    Examples
+    --------
+    >>> sectors(np.radians([0.0, 1.0, 2.0, 3.0]), np.array([True, False, True, True]))
+    ('bearings 0, 1.9 to 3.1 degrees', '--mask=-0.1:0.1 --mask=1.9:3.1')
+    """
     beams = np.flatnonzero(chosen)
     runs = np.split(beams, np.flatnonzero(np.diff(beams) > 1) + 1)
     ends = [_ends(bearings[run]) for run in runs[:MOST_SECTORS]]
+    only = np.degrees(wrap_angle(bearings)).round(1) + 0.0
     shown = ", ".join(
-        f"{run[0]}..{run[-1]} (bearings {first:g} to {last:g} degrees)"
+        f"{first:g} to {last:g}" if len(run) > 1 else f"{only[run[0]]:g}"
         for run, (first, last) in zip(runs, ends, strict=False)
     )
     more = f" and {len(runs) - MOST_SECTORS} more sectors" if len(runs) > MOST_SECTORS else ""
-    return shown + more, " ".join(f"--mask={first:g}:{last:g}" for first, last in ends)
+    noun = "bearing" if len(beams) == 1 else "bearings"
+    return f"{noun} {shown} degrees{more}", " ".join(f"--mask={first:g}:{last:g}" for first, last in ends)
 
 
 def _ends(bearings: FloatArray) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Integral
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,6 +84,18 @@ class SensorLog:
     poses: FloatArray
     odometry: FloatArray
     no_return: NoReturnPolicy = field(default_factory=NoReturnPolicy)
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            finder: RangeFinder,
+            stamps: ArrayLike,
+            ranges: ArrayLike,
+            poses: ArrayLike,
+            odometry: ArrayLike,
+            no_return: NoReturnPolicy = ...,
+        ) -> None: ...
 
     __repr__ = short_repr
 

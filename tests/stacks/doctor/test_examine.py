@@ -292,7 +292,6 @@ FINDINGS = {
     "thresholds-lose-cells": ({}, {"grid": room(), "map_file": MapFile("m.yaml", between_share=0.1)},
                               {}, {"grid": room(), "map_file": MapFile("m.yaml", between_share=0.01)}),
     "calibrated": ({"text": RECORDED}, {}, {"text": RECORDED.replace("0.6", "0.7")}, {}),
-    "stack-uncertain": ({"stack": None, "z_hit": 0.5}, {}, {"stack": "nav2", "z_hit": 0.5}, {}),
 }  # fmt: skip
 
 
@@ -489,7 +488,7 @@ def test_belugas_node_for_ros_1_is_known_by_its_own_names(tmp_path):
     assert file.stack == "beluga"
     found = {item.name: item for item in examine(file)}
     # ROS 1 takes integers for doubles, reads no ros__parameters, and has these names.
-    assert found.keys() & {"wrong-type", "no-ros-parameters-key", "foreign-name", "stack-uncertain"} == set()
+    assert found.keys() & {"wrong-type", "no-ros-parameters-key", "foreign-name"} == set()
     assert (found["out-of-range"].parameter, found["out-of-range"].line) == ("laser_sigma_hit", 3)
 
 

@@ -88,12 +88,14 @@ class BagFile:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._stack = ExitStack()
+        self.n_files = 0
         self._unpack: Callable[[bytes], bytes] | None = None  # for messages that are compressed one by one
 
     @_without_yaml_warnings()
     def __enter__(self) -> BagFile:
         with ExitStack() as stack, _speaking_of(self.path):
             paths, self._unpack = _storage(self.path, stack)
+            self.n_files = len(paths)
             self._reader = stack.enter_context(_reader(paths))
             if not self._reader.is2:
                 limit_chunks(self._reader.readers[0], self.path)

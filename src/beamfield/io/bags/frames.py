@@ -69,8 +69,10 @@ class TransformBuffer:
         self._neighbours: dict[str, list[str]] = {}
 
     def add(self, parent: str, child: str, stamp: float, translation: Sequence[float], rotation: Sequence[float],
-            *, static: bool = False, place: str = "") -> None:  # fmt: skip
+            *, static: bool = False, place: str = "", depth: int = 0) -> None:  # fmt: skip
         """Add one transform, the pose of `child` in `parent`, with a quaternion x, y, z, w; `place` is for errors.
+
+        Of transforms between the same two frames, those from the topic deepest in namespaces count: the robot's own.
 
         Names that are empty, and a frame in itself, say nothing and are skipped. A static one holds at all times,
         whatever its stamp; the last one given counts.
@@ -84,7 +86,7 @@ class TransformBuffer:
             self._neighbours.setdefault(parent, []).append(child)
             self._neighbours.setdefault(child, []).append(parent)
         # Numbers here and now: a bag may define the fields as it likes, and this is where errors name the message.
-        edge.add(float(stamp), tuple(map(float, (*translation, *rotation))), static, place)
+        edge.add(float(stamp), tuple(map(float, (*translation, *rotation))), static, place, depth)
 
     def __len__(self) -> int:
         return len(self._edges)
@@ -226,12 +228,17 @@ class _Edge:
     static: bool = False
     fault: str = ""
     place: str = ""
+    depth: int = 0
     stamps: FloatArray = field(default_factory=lambda: np.empty(0))
     _samples: list[tuple[float, ...]] = field(default_factory=list)
     _places: list[str] = field(default_factory=list)
     _values: FloatArray = field(default_factory=lambda: np.empty((0, 7)))
 
-    def add(self, stamp: float, values: tuple[float, ...], static: bool, place: str) -> None:
+    def add(self, stamp: float, values: tuple[float, ...], static: bool, place: str, depth: int) -> None:
+        if depth < self.depth:
+            return
+        if depth > self.depth:
+            self.depth, self.static, self._samples, self._places = depth, False, [], []
         if static:
             self.static = True
         self._samples.append((stamp, *values))

@@ -25,7 +25,7 @@ from beamfield.io.bags.robot_frames import (
     find_reference,
     says_truth,
 )
-from beamfield.io.bags.scan_ranges import resolve_limits, resolve_scan_ranges
+from beamfield.io.bags.scan_ranges import limit_doubts, resolve_limits, resolve_scan_ranges
 from beamfield.io.no_return import NoReturnRule
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
@@ -118,7 +118,8 @@ def read_bag(
         beams = beam_mounts(content, scans, base, mount, notes)
         low, high = resolve_limits(scans, content.path, min_range, max_range)
         found = resolve_scan_ranges(scans.ranges, low, high, no_return, limit_given=max_range is not None)
-        notes += [f"{scans.topic}: {note}" for note in found.notes]
+        if max_range is None:
+            notes += [f"{scans.topic}: {doubt}" for doubt in limit_doubts(scans.ranges, high)]
         cone = OPENING_ANGLE if scans.topic in content.cones else 0.0
         poses = reference_at(scans.stamps)
         driven = odometry.at(scans.stamps)
@@ -182,6 +183,8 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
         for s in scans
         if counts[s.topic] != len(s.stamps)
     ]
+    if bag.n_files > 1 and bag.path.is_file():
+        notes.append(f"{bag.path.name} is one of {bag.n_files} files of a bag: all of them were read")
     return BagContent(bag.path, scans, frames, pose_topics, set(rangers), ranger_odometry, notes)
 
 
@@ -203,6 +206,7 @@ def _add_transforms(frames: TransformBuffer, message: BagMessage) -> None:
             (q.x, q.y, q.z, q.w),
             static=static,
             place=message.place,
+            depth=message.topic.count("/"),
         )
 
 

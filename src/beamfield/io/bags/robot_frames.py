@@ -91,6 +91,10 @@ def choose_base(content: BagContent, asked: str | None, mount_given: bool) -> st
 def _unconnected(content: BagContent, candidates: list[str], sensor_frames: list[str]) -> FormatError:
     """Return the error for sensors that no frame of the robot reaches, with those that the best one lacks."""
     frames = content.frames
+    if all(any(frames.connected(c, f) for c in candidates) for f in sensor_frames):
+        listed = ", ".join(repr(scans.topic) for scans in content.scans)
+        several = "the scans are of several robots that no frame connects; choose one by sensor_topic: the bag has"
+        return FormatError(content.path, f"{several} {listed}")
     reached = [[f for f in sensor_frames if frames.connected(c, f)] for c in candidates]
     best = max(range(len(candidates)), key=lambda i: len(reached[i]), default=None)
     robot = "the robot (no frame base_link or base_footprint)" if best is None else f"the robot {candidates[best]!r}"
@@ -153,9 +157,10 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
 
 
 def _are_fixed(content: BagContent, base: str) -> bool:
-    """Return whether no sensor moves on this frame."""
-    with_frames = [s for s in content.scans if s.topic not in content.cones]
-    mounts = (content.frames.look_up(base, strip_slash(s.frame), s.stamps, hold=True) for s in with_frames)
+    """Return whether no sensor is seen to move on this frame: with a mount given, its frame may be missing."""
+    scans = [s for s in content.scans if s.topic not in content.cones]
+    seen = [s for s in scans if content.frames.connected(base, strip_slash(s.frame))]
+    mounts = (content.frames.look_up(base, strip_slash(s.frame), s.stamps, hold=True) for s in seen)
     return not any(_moves(*_motion(mount)) for mount in mounts)
 
 

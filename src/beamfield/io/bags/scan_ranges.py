@@ -19,6 +19,8 @@ RARE = 0.001  # share up to which the ways of REP 117 do not count as the sensor
 CONTRAST = 10.0  # how much more frequent than its neighbours a value must be that is not a measurement
 NEIGHBOURS = 10  # different values to compare with
 ENOUGH = 20  # readings
+# From this share of different numbers beyond it the declared limit is doubted: at most 0.015 on 9 real bags.
+DOUBTED = 0.05
 
 
 def resolve_limits(
@@ -83,6 +85,20 @@ def resolve_scan_ranges(
             why = f"are exactly {code:.6g} m, the greatest value and far more frequent than those below it"
             return _converted(ranges, max_range if limit_given else code, ranges == code, (code,), "detected", why)
     return _declared(ranges, min_range, max_range, declared, zero)
+
+
+def limit_doubts(ranges: FloatArray, max_range: float) -> list[str]:
+    """Return a note if much of what counts as no return is measurements beyond the declared limit."""
+    beyond = ranges[np.isfinite(ranges) & (ranges > max_range)]
+    # One value, however frequent, is the sensor's word for "no return".
+    different = len(beyond) - np.unique(beyond, return_counts=True)[1].max(initial=0)
+    if different <= DOUBTED * ranges.size:
+        return []
+    note = (
+        f"{len(beyond) / ranges.size:.0%} of the readings are beyond the declared range_max of {max_range:.6g} m, "
+        f"up to {beyond.max():.6g} m: as in amcl they count as no return; correct the driver, or give max_range"
+    )
+    return [note]
 
 
 def _share_of_one_value(ranges: FloatArray, max_range: float) -> float:

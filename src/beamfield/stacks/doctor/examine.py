@@ -54,7 +54,6 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     motion_checks.motion_noise,
     motion_checks.updates_and_particles,
     value_checks.loaded_elsewhere,
-    value_checks.stack_guess,
     calibrated,
 )
 

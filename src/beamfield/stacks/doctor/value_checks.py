@@ -134,21 +134,6 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def stack_guess(subject: Subject) -> Iterator[Finding]:
-    """Report a file that could be another stack's."""
-    if subject.file.stack_is_certain:
-        return
-    first, *others = (STACKS[name] for name in subject.file.possible)
-    alike = " and ".join(f"{stack.title}'s" for stack in (first, *others))
-    dense = [stack.title for stack in others if stack.model(stack.default_model).hit_is_density]
-    density = f": {dense[0]}'s hit has the constant of a normal density" if dense else ""
-    yield subject.finding(
-        "stack-uncertain", "info", f"read as {first.title}'s, though {alike} files have the same names",
-        f"the same values mean different things there{density}",
-        f"pass --stack {' or '.join(stack.name for stack in others)} if that is what the robot runs",
-    )  # fmt: skip
-
-
 def _unusable(subject: Subject) -> Iterator[tuple[Any, Unusable]]:
     """Yield what cannot be used of the measurement model's values, the motion model's and the particles'."""
     for item in subject.typed.unusable:

@@ -53,6 +53,15 @@ def looked_up_and_computed(z, z_star, view):
     return looked_up, computed, table
 
 
+@pytest.mark.parametrize("n", [1, 3])
+def test_kernels_are_compiled_alike_for_one_reading_and_for_many(n, rng):
+    reading = read_only(rng.uniform(1.0, 7.0, n))
+    fill_looked_up(reading, read_only(np.ones((5, n))), THETA, mixture_table(reading, THETA), np.empty(5))
+    (signature,) = fill_looked_up.signatures
+    assert {array.layout for array in signature[3]} == {"C"}
+    assert {array.layout for array, *_ in fill_log_density.signatures} == {"C"}
+
+
 def special(z, view):
     """Return expected ranges at and beside what the table is cut at, and impossible ones."""
     cuts = mixture_table(read_only(np.array([z])), view).starts[0]

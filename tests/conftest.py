@@ -27,10 +27,13 @@ settings.load_profile("untimed")
 SHARED = Path(os.environ.get("BEAMFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared"))
 
 
+# Collecting the tests makes thousands of objects and no garbage: the collector need not look at them.
+gc.disable()
+
+
 def pytest_collection_finish() -> None:
-    """Keep the garbage collector from going through thousands of tests again and again."""
-    gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

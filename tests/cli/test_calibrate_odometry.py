@@ -27,7 +27,7 @@ def test_noise_and_errors_are_printed_reported_and_patched_into_the_users_file(w
     mine = tmp_path / "mine.yaml"
     mine.write_text(
         "amcl:\n  ros__parameters:\n    robot_model_type: nav2_amcl::DifferentialMotionModel\n"
-        "    min_particles: 100\n    max_particles: 500\n    laser_model_type: likelihood_field_prob\n"
+        "    min_particles: 100\n    max_particles: 200\n    laser_model_type: likelihood_field_prob\n"
         "    alpha1: 0.2 # shipped\n    alpha2: 0.2\n    alpha3: 0.2\n    alpha4: 0.2\n    alpha5: 0.2\n"
     )
     out = tmp_path / "out"

@@ -36,7 +36,7 @@ amcl:
     laser_model_type: "likelihood_field"
     max_beams: 60
     min_particles: 100
-    max_particles: 500
+    max_particles: 200
     alpha1: 0.2   # as shipped
 """
 
@@ -142,7 +142,9 @@ def test_without_a_replay_the_users_file_stays(world, tmp_path, capsys):
 
 
 def test_values_can_be_chosen_for_the_map_as_it_is(world, tmp_path):
-    asked = ("--stack", "nav2", "--model", "likelihood_field", "--keep-map")
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(MINE)
+    asked = ("--stack", "nav2", "--model", "likelihood_field", "--keep-map", "--patch", str(mine))
     assert calibrate(world, tmp_path / "out", *asked) == 0
     replay = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]["replay"]
     assert replay["error"]["after"] > 0.0

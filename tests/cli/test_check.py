@@ -122,7 +122,7 @@ def test_a_log_is_judged_by_itself_and_the_table_is_printed(world, tmp_path, cap
 
 def test_what_was_learned_can_be_used_again(world, result, tmp_path):
     words = ("--params", str(result / "beam_model.yaml"), "--good-scans", str(result / "scan_fit_reference.json"))
-    assert check(world, tmp_path / "out", *words, "--poses", str(world / "kidnapped.tum")) == 0
+    assert check(world, tmp_path / "out", *words, "--worst", "0", "--poses", str(world / "kidnapped.tum")) == 0
     again, first = (
         np.genfromtxt(path / "scan_fit.csv", delimiter=",", skip_header=1) for path in (tmp_path / "out", result)
     )
@@ -136,7 +136,7 @@ def test_the_page_says_what_the_terminal_says_of_poses_that_cannot_be_trusted(wo
     turned = tmp_path / "turned.tum"
     turned.write_text("".join(" ".join([*row[:4], "0 0 1 0"]) + "\n" for row in rows))
     learned = ("--params", str(result / "beam_model.yaml"), "--good-scans", str(result / "scan_fit_reference.json"))
-    assert check(world, tmp_path / "out", *learned, "--poses", str(turned)) == 3
+    assert check(world, tmp_path / "out", *learned, "--worst", "0", "--poses", str(turned)) == 3
     problem = "ost readings disagree with the map at the reference poses"
     assert problem in capsys.readouterr().err
     first, second, *_ = re.findall(

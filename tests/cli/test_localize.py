@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from PIL import Image
 
 from beamfield.cli.film import Film
 from beamfield.cli.main import main
+from beamfield.errors import TrajectoryNotFoundError
 from beamfield.io.bags.writer import write_bag
 from beamfield.io.filter_run import read_run
 from beamfield.io.logs.carmen import write_carmen
@@ -252,7 +254,10 @@ def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_robot_in_another_building_is_not_found(folder, capsys):
+def test_a_robot_in_another_building_is_not_found(folder, capsys, monkeypatch):
+    # To find that no trajectory fits takes most of the time, and is tested on its own.
+    refused = Mock(side_effect=TrajectoryNotFoundError("no trajectory fits"))
+    monkeypatch.setattr("beamfield.localization.fitted_poses.fit_trajectory", refused)
     words = ("--map", str(folder / "elsewhere.yaml"), "--global", "--particles", "1000", "--json")
     assert main(["localize", str(folder / "drive.log"), *words]) == 3
     said = capsys.readouterr()

@@ -30,7 +30,11 @@ COMMANDS = {
         {"scan", "model", "n_poses", "n_places", "n_headings", "resolution_m", "maximum", "reference"},
         0,
     ),
-    "check": (f"{LOG} --out {{out}}/c", {"n_judged", "share_that_fits", "longest_lost", "worst", "provenance"}, 0),
+    "check": (
+        f"{LOG} --worst 0 --out {{out}}/c",
+        {"n_judged", "share_that_fits", "longest_lost", "worst", "provenance"},
+        0,
+    ),
     "calibrate": (f"{LOG} --out {{out}}/b --no-refine", {"sensors"}, 0),
     "doctor": ("{world}/nav2.yaml", {"file", "stack", "stack_is_certain", "model", "section", "findings"}, 0),
     "translate": ("{world}/nav2.yaml --to beluga --max-range 9", {"stack", "model", "from", "values", "file"}, 0),

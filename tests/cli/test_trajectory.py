@@ -53,22 +53,14 @@ def test_a_start_off_the_map_and_a_name_without_an_ending_are_refused(folder: Pa
     assert not out.exists()
 
 
-def test_a_log_of_another_building_is_refused_and_nothing_written(folder: Path, capsys: pytest.CaptureFixture[str]):
-    cells = np.zeros((200, 200))
-    cells[[0, -1]] = cells[:, [0, -1]] = 100
-    cells[60:64, 40:90] = cells[100:150, 120:124] = 100
-    write_map(OccupancyGrid.from_ros(cells, 0.1), folder / "other.yaml")
-    out = folder / "wrong.tum"
-    assert main(["trajectory", str(folder / "run.log"), "--map", str(folder / "other.yaml"), "-o", str(out)]) == 3
-    error = capsys.readouterr().err
-    assert "out of date or of wrong resolution, a drive beyond it, or wrong odometry?); best starts: (" in error
-    assert "sonar" not in error
-    assert not out.exists()
-
-
-def test_of_a_sonar_it_is_said_that_its_cones_are_taken_as_beams(folder: Path, capsys: pytest.CaptureFixture[str]):
+def test_where_nothing_fits_nothing_is_written_and_of_a_sonar_its_cones_are_blamed(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    out = folder / "none.tum"
     refused = TrajectoryNotFoundError("no trajectory through this map fits the log")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("beamfield.localization.trajectory.choose_course", Mock(side_effect=refused))
-        assert run(folder, "--opening-angle", "20", "--out", str(folder / "none.tum")) == 3
+    monkeypatch.setattr("beamfield.localization.trajectory.choose_course", Mock(side_effect=refused))
+    assert run(folder, "--out", str(out)) == 3
+    assert "sonar" not in capsys.readouterr().err
+    assert run(folder, "--opening-angle", "20", "--out", str(out)) == 3
     assert capsys.readouterr().err.endswith("are fitted as beams, which rarely works without --start X Y DEG\n")
+    assert not out.exists()

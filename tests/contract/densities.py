@@ -86,7 +86,7 @@ def line_transform(
 
 def integrate_one_marker(model: MarkerModel, pose: np.ndarray) -> float:
     """Return the integral over place and angle of one marker, by the trapezoidal rule in steps of sigma."""
-    steps = np.arange(-6.0, 7.0) * model.parameters.sigma_pixel
+    steps = np.arange(-4.5, 5.0) * model.parameters.sigma_pixel
     n_angles = int(np.ceil(2.0 * np.pi / model.parameters.sigma_angle)) + 8
     angles = -np.pi + 2.0 * np.pi * np.arange(n_angles) / n_angles
     noise = np.stack(np.meshgrid(steps, steps, angles, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -292,6 +292,7 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
             "expected_ranges": np.linspace(1.0, 4.0, 50),
             "max_range": 5.0,
             "min_range": 0.05,
+            "n_starts": 1,
             "max_iterations": 4,
         },
     ),

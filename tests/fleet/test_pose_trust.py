@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from beamfield.calibration.reference_checks import pose_findings
+from beamfield.errors import TrajectoryNotFoundError
 from beamfield.finding import Finding
 from beamfield.fleet.catalogue import open_catalogue
 from beamfield.fleet.engine import Engine
@@ -49,7 +51,7 @@ def scanned(folder: Path, log: SensorLog, grid: OccupancyGrid, **row: str) -> Ru
     return record
 
 
-def around(log: SensorLog, grid: OccupancyGrid, margin: float = 3.0) -> OccupancyGrid:
+def around(log: SensorLog, grid: OccupancyGrid, margin: float = 2.0) -> OccupancyGrid:
     """The part of the map about the drive: a search that finds no start is costly by the area."""
     corner = np.asarray(grid.origin[:2])
     places = log.poses[:, :2]
@@ -108,8 +110,11 @@ def test_beams_of_a_lost_robot_are_cast_where_it_was(run, lost_scan):
     assert off.max() < 0.2
 
 
-def test_a_run_in_a_wrong_map_is_left_out_and_the_robot_is_amber(run, tmp_path):
-    record = scanned(tmp_path, run[::3], around(run, draw_floor_plan(seed=12)))
+def test_a_run_in_a_wrong_map_is_left_out_and_the_robot_is_amber(run, tmp_path, monkeypatch):
+    refused = Mock(side_effect=TrajectoryNotFoundError("no trajectory fits"))
+    monkeypatch.setattr("beamfield.fleet.posed_run.cross_fit_poses", refused)
+    record = scanned(tmp_path, run[::3], draw_floor_plan(seed=12))
+    refused.assert_called_once()
     assert (record.status, record.files) == ("left out", ())
     assert record.reason.startswith("the robot was lost, or this is not the map: At the reference poses, ")
     assert "map-disagrees" in [finding.name for finding in record.findings]
@@ -130,7 +135,8 @@ def test_poses_that_were_given_are_not_replaced(run, office, tmp_path):
 def test_odometry_of_the_wrong_sign_reaches_the_robots_state(run, office, tmp_path):
     # The log's lone poses are its odometry, which says that the robot drives backwards.
     backwards = run.poses * np.array([-1.0, -1.0, 1.0])
-    record = scanned(tmp_path, replace(run, poses=backwards, odometry=backwards), office, **{"lone-poses": "odometry"})
+    log, grid = replace(run, poses=backwards, odometry=backwards), around(run, office)
+    record = scanned(tmp_path, log, grid, **{"lone-poses": "odometry"})
     assert (record.status, record.pose_source) == ("used", "fitted")
     (state,) = robot_states([record], ())
     assert (state.light, [one.name for one in state.findings if one.name != "untested"]) == ("red", ["odometry-sign"])

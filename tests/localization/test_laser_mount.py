@@ -33,6 +33,7 @@ def tour(office: OccupancyGrid) -> SensorLog:
 def fewer_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     """A third of the pairs of scans that are aligned: each takes 8 ms, and these tell as much of a simulated drive."""
     monkeypatch.setattr("beamfield.localization.laser_mount.MOST_PAIRS", 66)
+    monkeypatch.setattr("beamfield.localization.scan_delay.MOST_PAIRS", 100)
 
 
 def mounted(log: SensorLog, mount: tuple[float, float, float]) -> SensorLog:

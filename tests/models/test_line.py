@@ -116,12 +116,12 @@ def test_the_density_is_continuous_where_the_robot_crosses_a_line():
 )
 def test_it_integrates_to_one_even_next_to_the_line(covariance):
     for pose in ([1.9, 0.0, 0.3], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]):
-        rho = (np.arange(500) + 0.5) * 0.01
+        rho = (np.arange(250) + 0.5) * 0.02
         alpha = (np.arange(400) + 0.5) * np.pi / 200
         r, a = (axis.ravel() for axis in np.meshgrid(rho, alpha))
         z = LineDetections(np.column_stack([r, a]), covariance, ids=np.full(r.size, 1))
         density = np.exp(model(lines=LineMap([[2.0, 0.0]])).detection_log_likelihood(z, pose))
-        assert density.sum() * 0.01 * np.pi / 200 == pytest.approx(1.0, abs=1e-3)
+        assert density.sum() * 0.02 * np.pi / 200 == pytest.approx(1.0, abs=1e-3)
 
 
 def test_samples_with_correlated_noise_follow_the_density(rng):
@@ -134,10 +134,10 @@ def test_samples_with_correlated_noise_follow_the_density(rng):
     def statistic(rho, alpha):
         return np.sin(alpha) * np.exp(-3.0 * rho) + 0.5 * np.cos(alpha)
 
-    rho, alpha = (np.arange(400) + 0.5) * 0.004, -np.pi + (np.arange(400) + 0.5) * np.pi / 200
+    rho, alpha = (np.arange(160) + 0.5) * 0.01, -np.pi + (np.arange(200) + 0.5) * np.pi / 100
     r, a = (axis.ravel() for axis in np.meshgrid(rho, alpha))
     z = LineDetections(np.column_stack([r, a]), covariance, ids=np.full(r.size, 1))
-    density = np.exp(m.detection_log_likelihood(z, pose)) * 0.004 * np.pi / 200
+    density = np.exp(m.detection_log_likelihood(z, pose)) * 0.01 * np.pi / 100
     expected, values = float(density @ statistic(r, a)), statistic(*drawn.T)
     assert values.mean() == pytest.approx(expected, abs=4.0 * values.std() / np.sqrt(len(values)))
     assert density.sum() == pytest.approx(1.0, abs=1e-3)

@@ -39,7 +39,7 @@ def random_map(rng, shape, resolution, origin) -> OccupancyGrid:
 def test_correlation_equals_the_slow_reference(rng, local_resolution):
     grid = random_map(rng, (40, 50), 0.1, (1.0, -2.0, 0.7))
     local = random_map(rng, (17, 23), local_resolution, (-0.6, -0.9, -0.2))
-    poses = compose([1.0, -2.0, 0.7], rng.uniform([0, 0, -4], [5, 4, 4], (40, 3)))
+    poses = compose([1.0, -2.0, 0.7], rng.uniform([0, 0, -4], [5, 4, 4], (15, 3)))
     found = MapMatchingModel(grid, min_overlap=1e-3).match(local, poses)
     n_local = np.count_nonzero(~np.isnan(local.probability))
     for pose, rho, overlap, determined in zip(poses, *found, strict=True):

@@ -53,6 +53,15 @@ def looked_up_and_computed(z, z_star, view):
     return looked_up, computed, table
 
 
+def test_nothing_is_compiled_for_one_reading_that_is_not_for_many(rng):
+    compiled = []
+    for n in (3, 1):
+        reading = read_only(rng.uniform(1.0, 7.0, n))
+        fill_looked_up(reading, read_only(np.ones((5, n))), THETA, mixture_table(reading, THETA), np.empty(5))
+        compiled.append((fill_looked_up.signatures, fill_log_density.signatures))
+    assert compiled[0] == compiled[1]
+
+
 def special(z, view):
     """Return expected ranges at and beside what the table is cut at, and impossible ones."""
     cuts = mixture_table(read_only(np.array([z])), view).starts[0]

@@ -55,7 +55,8 @@ def mixture_table(ranges: FloatArray, view: BeamView) -> MixtureTable | None:
     points = length * (_INDEX + _POINTS[:, None, None])
     points += start
     np.minimum(points, end, out=points)
-    measured = read_only(np.broadcast_to(ranges[:, None], points.shape).reshape(-1))
+    # Of one reading that would be a view without strides, for which kernels are compiled anew.
+    measured = read_only(np.ascontiguousarray(np.broadcast_to(ranges[:, None], points.shape).reshape(-1)))
     expected, values = read_only(points.reshape(-1)), np.empty(points.size)
     run_in_blocks(lambda a, b: fill_log_density(measured[a:b], expected[a:b], view, values[a:b]), values.size)
     nodes, check = np.split(values.reshape(len(_POINTS), -1), [DEGREE + 1])
@@ -70,4 +71,4 @@ def mixture_table(ranges: FloatArray, view: BeamView) -> MixtureTable | None:
         off = np.abs(_VALUES @ nodes - check).max(axis=0)
         coefficients[~(off <= CLOSE_ENOUGH)] = np.nan
         per_metre = np.where(lengths > 0.0, ROUNDED_DOWN / lengths, 0.0)
-    return MixtureTable(np.ascontiguousarray(starts), per_metre, coefficients.reshape(-1))
+    return MixtureTable(np.ascontiguousarray(starts), np.ascontiguousarray(per_metre), coefficients.reshape(-1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -131,12 +132,20 @@ RECORDED = with_record(
 
 
 def alphas(value):
-    """Return parameters of a motion model with this noise, at every step of `DRIVE`."""
+    """Return parameters of a motion model with this noise, at every step of `noisy_drive`."""
     return {**{f"alpha{i}": value for i in range(1, 5)}, "update_min_d": 0.01, "update_min_a": 0.01}
 
 
-# 400 steps whose odometry errs with all alphas 0.03.
-DRIVE = amcl_log((0.03,) * 4, 1, n=400)
+@cache
+def noisy_drive():
+    """Return 400 steps whose odometry errs with all alphas 0.03."""
+    return amcl_log((0.03,) * 4, 1, n=400)
+
+
+def made(others):
+    """Return map and log, made now: at import, each worker would compile what makes them before its first test."""
+    return {name: make() if callable(make) else make for name, make in others.items()}
+
 
 # name, keywords for the file, map and log that trigger it, and what to change so that they do not.
 FINDINGS = {
@@ -147,8 +156,8 @@ FINDINGS = {
     "out-of-range": ({"sigma_hit": -0.1}, {}, {"sigma_hit": 0.1}, {}),
     "filled-in-at-start": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
     "filled-in-at-start of YAML": ({"z_rand": "$(var z_rand)"}, {}, {"z_rand": 0.5}, {}),
-    "motion-noise-wide": (alphas(0.9), {"log": DRIVE}, alphas(0.03), {"log": DRIVE}),
-    "motion-noise-narrow": (alphas(0.001), {"log": DRIVE}, alphas(0.03), {"log": DRIVE}),
+    "motion-noise-wide": (alphas(0.9), {"log": noisy_drive}, alphas(0.03), {"log": noisy_drive}),
+    "motion-noise-narrow": (alphas(0.001), {"log": noisy_drive}, alphas(0.03), {"log": noisy_drive}),
     "no-motion-noise": (alphas(0.0), {}, alphas(0.001), {}),
     "updates-far-apart": ({"update_min_d": 1.5}, {}, {"update_min_d": 0.9}, {}),
     "updates-far-apart in angle": ({"update_min_a": 1.1}, {}, {"update_min_a": 1.0}, {}),
@@ -218,7 +227,8 @@ FINDINGS = {
                       {}, {"grid": room(), "log": scans(walls(), poses=MIDDLE)}),
     "map-disagrees-in-part": ({}, {"grid": room(), "log": scans(wrong_in(3), poses=MIDDLE)},
                               {}, {"grid": room(), "log": scans(wrong_in(2), poses=MIDDLE)}),
-    "map-out-of-date": ({}, {"grid": hall(), "log": drive(hall(), 30)}, {}, {"grid": hall(), "log": drive(hall(), 22)}),
+    "map-out-of-date": ({}, {"grid": hall, "log": partial(drive, hall(), 30)},
+                        {}, {"grid": hall, "log": partial(drive, hall(), 22)}),
     "nearly-flat": ({}, {}, {"laser_model_type": "likelihood_field_prob"}, {}),
     "absurdly-sharp": ({"laser_model_type": "likelihood_field_prob", "sigma_hit": 0.05, "z_hit": 0.99, "z_rand": 0.01},
                        {}, {"laser_model_type": "likelihood_field_prob", "max_beams": 10, "z_rand": 5.0}, {}),
@@ -366,7 +376,7 @@ SAID = {
 @pytest.mark.parametrize("case", SAID)
 def test_a_finding_says_its_numbers(tmp_path, case):
     sick, others, _, _ = FINDINGS[case]
-    (found,) = [item for item in examine(amcl(tmp_path, **sick), **others) if item.name == case]
+    (found,) = [item for item in examine(amcl(tmp_path, **sick), **made(others)) if item.name == case]
     for words in SAID[case]:
         assert words in f"{found.text} {found.why} {found.do}"
 
@@ -375,10 +385,10 @@ def test_a_finding_says_its_numbers(tmp_path, case):
 def test_a_finding_comes_where_it_is_due_and_not_elsewhere(tmp_path, case):
     name = case.split()[0]
     sick, with_sick, well, with_well = FINDINGS[case]
-    found = [item for item in examine(amcl(tmp_path, **sick), **with_sick) if item.name == name]
+    found = [item for item in examine(amcl(tmp_path, **sick), **made(with_sick)) if item.name == name]
     assert len(found) == 1
     assert all((found[0].text, found[0].why, found[0].do))
-    assert name not in [item.name for item in examine(amcl(tmp_path, **well), **with_well)]
+    assert name not in [item.name for item in examine(amcl(tmp_path, **well), **made(with_well))]
 
 
 def test_every_check_has_a_test(tmp_path):
@@ -389,7 +399,7 @@ def test_every_check_has_a_test(tmp_path):
         from beamfield.stacks.files.typed_values import typed_values
 
         file = amcl(tmp_path, **sick)
-        subject = Subject(file, typed_values(file), **others)
+        subject = Subject(file, typed_values(file), **made(others))
         silent -= {check for check in silent if list(check(subject))}
     assert not silent
 

@@ -17,6 +17,7 @@ from beamfield.io.bags.map_topic import read_bag_map
 from beamfield.io.bags.multiranger import OPENING_ANGLE, RawDataCollector, ranger_topics, read_rangers
 from beamfield.io.bags.namespaces import transform_topics
 from beamfield.io.bags.pose_topic import ODOMETRY, POSE_TYPES, PoseTopicCollector
+from beamfield.io.bags.published_twice import published_twice
 from beamfield.io.bags.robot_frames import (
     BagContent,
     beam_mounts,
@@ -112,6 +113,8 @@ def read_bag(
     base = choose_base(content, base_frame, mount is not None)
     odometry = find_odometry(content, base, notes)
     reference_at = find_reference(content, base, poses_topic, map_frame, odometry, notes)
+    twice = [] if odometry.track is None else published_twice("odometry", odometry.track.poses)
+    notes += twice
     sensors = {}
     for scans in content.scans:
         notes += scans.notes
@@ -124,6 +127,7 @@ def read_bag(
         poses = reference_at(scans.stamps)
         driven = odometry.at(scans.stamps)
         _note_missing(scans.topic, poses, notes)
+        notes += [] if twice else published_twice(f"{scans.topic}: reference poses", poses)
         if odometry.track is not None:
             _note_unmatched(scans.topic, scans.stamps, driven, odometry.track.stamps, notes)
         sensors[scans.topic] = SensorLog(

@@ -13,14 +13,12 @@ LEAST, SHARE = 10, 0.05
 
 
 def published_twice(what: str, poses: FloatArray) -> list[str]:
-    """Return a note if poses (t, 3), NaN where unknown, jump to and fro between two paths; `what` they are begins it."""
+    """Return a note that begins with `what` if poses (t, 3), NaN where unknown, jump to and fro between two paths."""
     places = poses[:, :2]
     step, over = (np.hypot(*(places[n:] - places[:-n]).T) for n in (1, 2))
     far = np.minimum(step[:-1], step[1:])
     counted = (far > FAR) & (over < NEAR * far)
     if counted.sum() < max(LEAST, SHARE * len(poses)):
         return []
-    return [
-        f"{what}: to and fro {counted.sum()} times, by up to {far[counted].max():.2f} m: two nodes publish them, "
-        "and a robot that follows them gets lost; stop one"
-    ]
+    jumps = f"to and fro {counted.sum()} times, by up to {far[counted].max():.2f} m"
+    return [f"{what}: {jumps}: two nodes publish them, and a robot that follows them gets lost; stop one"]

@@ -575,7 +575,7 @@ def test_topics_without_messages_are_passed_over(tmp_path):
     assert list(read_bag(path).sensors) == ["/scan"]
 
 
-@pytest.mark.parametrize(("apart", "twice"), [(0.05, ""), (0.4, "odometry: to and fro 98 times, by up to 0.40 m")])
+@pytest.mark.parametrize(("apart", "twice"), [(0.05, ""), (0.4, "odometry: back and forth 98 times, by up to 0.40 m")])
 def test_odometry_that_two_nodes_publish_is_noted(apart, twice, tmp_path):
     bag = MiniBag().tf("base_link", "laser", 100.0, static=True)
     for i in range(100):
@@ -591,4 +591,4 @@ def test_a_filter_that_two_nodes_run_is_noted_once_odometry_is_whole(tmp_path):
         stamp = 100.0 + 0.02 * i
         bag.tf("odom", "base_link", stamp, (0.01 * i, 0.0, 0.0)).tf("map", "odom", stamp, (5.0, i % 2, 0.0)).scan(stamp)
     (note,) = [note for note in read_bag(bag.write(tmp_path)).notes if "two nodes" in note]
-    assert note.startswith("/scan: reference poses: to and fro 98 times, by up to 1.00 m")
+    assert note.startswith("/scan: reference poses: back and forth 98 times, by up to 1.00 m")

@@ -13,7 +13,7 @@ LEAST, SHARE = 10, 0.05
 
 
 def published_twice(what: str, poses: FloatArray) -> list[str]:
-    """Return a note that begins with `what` if poses (t, 3), NaN where unknown, jump back and forth between two paths."""
+    """Return a note that begins with `what` if poses (t, 3), NaN where unknown, jump between two paths all the time."""
     places = poses[:, :2]
     step, over = (np.hypot(*(places[n:] - places[:-n]).T) for n in (1, 2))
     far = np.minimum(step[:-1], step[1:])

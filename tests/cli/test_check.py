@@ -191,6 +191,7 @@ def test_where_the_map_is_wrong_what_to_do_is_said(monkeypatch):
         findings=(wrong, Finding("few-blocks", "warning", "", do="Record more.")), parameters=None
     )
     monkeypatch.setattr("beamfield.calibration.calibrate.calibrate", lambda *_, **__: learned)
-    _, problem = _parameters(SimpleNamespace(parameters=None, good=None, grid=None), SimpleNamespace(seed=0), None)
+    given = SimpleNamespace(parameters=None, good=None, grid=None, is_own=False)
+    _, problem = _parameters(given, SimpleNamespace(seed=0), None)
     assert problem.startswith("Do not use these values yet: the scale of the map is wrong; ")
     assert problem.endswith(f"was learned all the same. {wrong.do}")

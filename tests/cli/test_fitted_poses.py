@@ -357,15 +357,15 @@ def named(name: str) -> Finding:
     return Finding(name, "warning", f"{name}.", do="Mend it.")
 
 
-@pytest.mark.parametrize("refuted_by", ["reference-slides", "map-disagrees-in-part"])
+@pytest.mark.parametrize("refuted_by", ["reference-slides", "map-disagrees-in-part", "map-disagrees"])
 def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_robot_or_map(
     world: Path, monkeypatch, refuted_by: str
 ):
     sensor, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
     found = (named(refuted_by),)
-    for faults, expected in (
-        ((), None), ((named("map-out-of-date"),), "own-poses-agree"), ((named("laser-mount"),), "own-poses-agree"),
-    ):  # fmt: skip
+    # Poses that fit the whole drive show that the map is what is wrong.
+    unless = "own-poses-agree" if refuted_by == "map-disagrees" else None
+    for faults, expected in (((), unless), ((named("laser-mount"),), "own-poses-agree")):
         fit = replace(fit_of(world), findings=faults)
         monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda *_, fit=fit, **__: fit)
         better = instead_of_own(sensor, grid, found, StageProgress(quiet=True))
@@ -374,12 +374,18 @@ def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_robot_
     assert instead_of_own(sensor, grid, (named("pose-in-wall"),), StageProgress(quiet=True)) is None
 
 
-def test_a_map_that_the_fit_shows_to_be_out_of_date_is_not_doubted_to_be_of_the_place(world: Path):
-    found = named("map-disagrees"), named("pose-in-wall")
+def test_a_map_that_disagrees_with_poses_that_fit_the_whole_drive_is_out_of_date(world: Path):
+    disagrees = Finding("map-disagrees", "warning", "", {"median_agreement": 0.4})
     fitted = SimpleNamespace(fit=fit_of(world))
-    assert with_map_judged(found, fitted) == found
-    fitted.fit = replace(fit_of(world), findings=(named("map-out-of-date"),))
-    assert with_map_judged(found, fitted) == found[1:]
+    in_wall, outdated = with_map_judged((named("pose-in-wall"), disagrees), fitted)
+    assert (in_wall.name, outdated.name, outdated.values) == ("pose-in-wall", "map-out-of-date", disagrees.values)
+    assert outdated.text.startswith("40% of a scan's readings agree")
+    hardly = replace(disagrees, values={"median_agreement": 0.2})
+    assert with_map_judged((hardly,), fitted) == (hardly,)
+    fitted.fit = replace(fit_of(world), findings=(named("kidnapped"),))
+    assert with_map_judged((disagrees,), fitted) == (disagrees,)
+    fitted.fit = replace(fit_of(world), trusted=np.arange(160) < 143)
+    assert with_map_judged((disagrees,), fitted) == (disagrees,)
 
 
 def test_doctor_names_the_robots_fault_first_and_does_not_blame_the_motion_noise_for_it(

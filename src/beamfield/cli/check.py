@@ -219,7 +219,7 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
     learned = calibrate(
         given.good, given.grid, CalibrationOptions(refine=False, seed=arguments.seed), progress=progress
     )
-    if given.fitted is not None:
+    if given.is_own and given.fitted is not None:
         learned = replace(learned, findings=with_map_judged(learned.findings, given.fitted))
     reasons = doubts(learned).rstrip(".")
     if not reasons:
@@ -237,11 +237,11 @@ def _lost(given: _Inputs) -> str:
 def _disagreement(given: _Inputs) -> str:
     from beamfield.calibration.reference_checks import map_findings
 
-    of_fit = () if given.fitted is None else given.fitted.fit.findings
-    found = {one.name for one in (*map_findings(given.log, given.grid), *of_fit)}
-    if "map-out-of-date" in found:
+    found = tuple(map_findings(given.log, given.grid))
+    names = {one.name for one in (found if given.fitted is None else with_map_judged(found, given.fitted))}
+    if "map-out-of-date" in names:
         return "most readings disagree with the map, which is out of date"
-    return "most readings disagree with the map at the reference poses" if "map-disagrees" in found else ""
+    return "most readings disagree with the map at the reference poses" if "map-disagrees" in names else ""
 
 
 def _reference(

@@ -94,16 +94,24 @@ def instead_of_own(
     except BeamfieldError:
         return None
     compared = compare_own_poses(sensor, fitted.fit)
-    wrong = any(one.name in (*OF_THE_ROBOT, "map-out-of-date") for one in fitted.fit.findings)
+    wrong = any(one.name in OF_THE_ROBOT for one in fitted.fit.findings) or (
+        fitted.fit.is_beyond_doubt and any(one.name == "map-disagrees" for one in found)
+    )
     if compared is None or not (compared.name == "own-poses-lost" or wrong):
         return None
     return replace(fitted, instead_of=compared)
 
 
 def with_map_judged(findings: tuple[Finding, ...], fitted: FittedPoses) -> tuple[Finding, ...]:
-    """Return findings at fitted poses, without the doubt that the map is theirs if the fit says it is out of date."""
-    outdated = any(one.name == "map-out-of-date" for one in fitted.fit.findings)
-    return tuple(one for one in findings if not (outdated and one.name == "map-disagrees"))
+    """Return findings at fitted poses; if these are beyond doubt, a map that disagrees is out of date."""
+    from beamfield.maps.outdated_map import outdated_at_right_poses
+
+    def judged(one: Finding) -> Finding:
+        if one.name != "map-disagrees" or not fitted.fit.is_beyond_doubt:
+            return one
+        return outdated_at_right_poses(one.values["median_agreement"]) or one
+
+    return tuple(judged(one) for one in findings)
 
 
 def fit_in_map(

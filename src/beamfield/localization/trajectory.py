@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,7 +35,7 @@ Progress = Callable[[str, int, int], None]
 FEWEST_SCANS, FEWEST_POINTS = 3, 100
 # Metres, a radian of turning counting as a tenth of one: a robot that stands sees one place, of which maps have many.
 LEAST_WAY = 0.3
-# With this share of trusted poses and no jump, a course is right even if most readings disagree with the map.
+# With this share of trusted poses a course is right even if most readings disagree with the map.
 NEARLY_ALL = 0.9
 
 
@@ -86,6 +86,12 @@ class TrajectoryFit:
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+    @property
+    def is_beyond_doubt(self) -> bool:
+        """Whether the poses are right, whatever the map shows: nearly all trusted, and the robot was not carried."""
+        carried = any(finding.name == "kidnapped" for finding in self.findings)
+        return not carried and float(self.trusted.mean()) >= NEARLY_ALL
 
     def summary(self) -> str:
         """Return what was found in a few lines."""
@@ -238,10 +244,9 @@ def fit_course(
     if any(one.name in OF_THE_ROBOT for one in before):
         seen = [one for one in seen if one.name != "wheel-slip"]
     findings = [*before, *seen, *more, *robot_in_sight(log)]
-    are_right = not len(found.course.jumps) and float(trusted.mean()) >= NEARLY_ALL
-    if (outdated := find_outdated_map(log, grid, fitted.poses, are_right=are_right)) is not None:
-        findings.append(outdated)
-    return _result(log, fitted, turns, trusted, findings, found.hypotheses)
+    fit = _result(log, fitted, turns, trusted, findings, found.hypotheses)
+    outdated = find_outdated_map(log, grid, fit.poses, are_right=fit.is_beyond_doubt)
+    return fit if outdated is None else replace(fit, findings=worst_first([*findings, outdated]))
 
 
 def _check_points(drive: Drive) -> None:

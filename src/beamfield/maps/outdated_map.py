@@ -32,22 +32,35 @@ def find_outdated_map(
     agrees = _median(log, grid, poses, caster)
     if not LEAST <= agrees < LEAST_AGREEMENT:
         return None
-    share = f"{int(100.0 * agrees)}% of a scan's readings agree with the map (median; expected {LEAST_AGREEMENT:.0%} or"
     if are_right:
-        return _finding(
-            f"{share} more) at the only poses that fit the whole drive: the map is out of date, or most readings are "
-            "of people.",
-            {"median_agreement": agrees},
-        )
+        return outdated_at_right_poses(agrees)
     angles = 2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)
     steps = [r * np.array([np.cos(angle), np.sin(angle), 0.0]) for r in BESIDE for angle in angles]
     beside = max(_median(log, grid, poses + step, caster) for step in steps)
     if agrees < TIMES * beside:
         return None
     return _finding(
-        f"{share} more), and {int(100.0 * beside)}% at most would {BESIDE[0]:g} to {BESIDE[-1]:g} m away: the poses "
+        f"{_share(agrees)}, and {int(100.0 * beside)}% at most would {BESIDE[0]:g} to {BESIDE[-1]:g} m away: the poses "
         "are right, the map is out of date.",
         {"median_agreement": agrees, "agreement_beside": beside},
+    )
+
+
+def outdated_at_right_poses(agrees: float) -> Finding | None:
+    """Return the warning for the share of the median scan's readings that agree at poses that are known to be right."""
+    if not LEAST <= agrees < LEAST_AGREEMENT:
+        return None
+    return _finding(
+        f"{_share(agrees)} at the only poses that fit the whole drive: the map is out of date, or most readings are of "
+        "people.",
+        {"median_agreement": agrees},
+    )
+
+
+def _share(agrees: float) -> str:
+    return (
+        f"{int(100.0 * agrees)}% of a scan's readings agree with the map (median; expected {LEAST_AGREEMENT:.0%} or "
+        "more)"
     )
 
 

@@ -205,4 +205,5 @@ def test_warnings_have_numbers_that_a_record_can_hold():
 
 
 def test_calibrate_doubts_the_same():
-    assert set(DOUBTS) <= set(verdict.DOUBTS)
+    # In a map that is out of date one robot learns what its filter meets there; a fleet learns the sensor, elsewhere.
+    assert set(DOUBTS) - {"map-out-of-date"} <= set(verdict.DOUBTS)

@@ -14,8 +14,8 @@ from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 
-# Beams cast at poses with such a finding say nothing of the sensor, as for `calibrate`; nor do those in a map that is out
-# of date, where `calibrate` learns for a filter that runs there.
+# Beams cast at poses with such a finding say nothing of the sensor, as for `calibrate`; nor do those in a map that is
+# out of date, where `calibrate` learns for a filter that runs there.
 DOUBTS = (
     "map-disagrees", "map-out-of-date", "poses-off-map", "reference-stands-still", "reference-slides",
     "few-poses-trusted",

@@ -46,7 +46,7 @@ MANY_SCANS = 560
 # If it stands out by this much, half of its beams need not agree: the map is out of date. In maps of other buildings
 # courses stand out by at most 0.06 and 1.3 nats in logs of two minutes, and 0.17 and 2.2 or 0.09 and 3.4 in those of
 # 12 s; in maps that lack much of an office by at least 0.19 and 5.3 (benchmarks/other_maps.py), or, where most of what
-# stood there was moved, 0.14 and 3.4. Of shorter logs so many times as much is asked at most.
+# stood there was moved, 0.17 and 3.4. Of shorter logs so many times as much is asked at most.
 AGREES_FAR_MORE, COSTS_FAR_LESS, AT_MOST = 0.1, 2.5, 1.6
 # A start that is given is believed against a worse fit, without jumps.
 MOST_COST_FROM_START = 9.0

@@ -187,6 +187,11 @@ def test_a_bag_without_scans_lists_its_topics(tmp_path):
     refuse(path, r"no scans.*'/odom' \(nav_msgs/msg/Odometry\)")
 
 
+def test_a_bag_with_point_clouds_instead_says_what_makes_scans_of_them(tmp_path):
+    path = MiniBag().declare("/points", "sensor_msgs/msg/PointCloud2").write(tmp_path)
+    refuse(path, r"no scans.*run pointcloud_to_laserscan on '/points'")
+
+
 @pytest.mark.parametrize("storage", STORAGES)
 def test_an_empty_bag(storage, tmp_path):
     refuse(MiniBag(storage).write(tmp_path), "no scans")

@@ -33,6 +33,11 @@ from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 __all__ = ["read_bag", "read_bag_map"]
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+# Nodes that make scans of what other lasers publish.
+MAKES_SCANS = {
+    "sensor_msgs/msg/PointCloud2": "pointcloud_to_laserscan",
+    "sensor_msgs/msg/MultiEchoLaserScan": "laser_proc",
+}
 # Share of the scans beside the odometry that is worth a note.
 UNMATCHED = 0.2
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "tf/msg/TFMessage")
@@ -147,7 +152,8 @@ def _scan_topics(bag: BagFile, asked: str | Sequence[str] | None) -> list[str]:
         found = bag.of_type(LASER_SCAN) or list(rangers)
         filled = [topic for topic in found if bag.counts[topic]]
         if not filled:
-            raise FormatError(bag.path, f"no scans (sensor_msgs/LaserScan) in this bag; it has {bag.describe()}")
+            has = f"no scans (sensor_msgs/LaserScan) in this bag; it has {bag.describe()}"
+            raise FormatError(bag.path, "; ".join([has, *_how_to_make_scans(bag)]))
         return filled
     names = [asked] if isinstance(asked, str) else list(asked)
     if not names:
@@ -155,6 +161,15 @@ def _scan_topics(bag: BagFile, asked: str | Sequence[str] | None) -> list[str]:
     return list(
         dict.fromkeys(t if (t := bag.find_topic(n)) in rangers else bag.find_topic(n, LASER_SCAN) for n in names)
     )
+
+
+def _how_to_make_scans(bag: BagFile) -> list[str]:
+    """Return what to do for each topic that could become scans."""
+    return [
+        f"run {MAKES_SCANS[msgtype]} on {topic!r} and record its scans"
+        for topic, msgtype in bag.topics.items()
+        if msgtype in MAKES_SCANS
+    ]
 
 
 def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> BagContent:

@@ -92,6 +92,15 @@ def test_the_maximum_is_printed_and_lies_at_the_reference(folder, tmp_path, caps
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_the_next_place_is_printed(folder, capsys):
+    assert run(folder) == 0
+    said = re.search(
+        r"next, 1 m away or more: x \S+ m, y \S+ m, heading \S+ deg, ([0-9.]+) nats less", capsys.readouterr().out
+    )
+    assert float(said[1]) > 0.0
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_what_the_reader_noticed_is_said(folder, capsys):
     assert run(folder) == 0
     assert "note: FLASER: the log has one pose per scan, taken as the corrected (reference)" in capsys.readouterr().err

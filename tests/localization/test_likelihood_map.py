@@ -95,6 +95,19 @@ def test_each_cell_holds_the_largest_value_over_the_headings(grid, truth):
     )
 
 
+def test_the_rival_is_the_best_place_that_lies_apart(grid, truth):
+    result = likelihood_map(wide_model(grid), noisy_scan(grid, truth, finder()), grid, resolution=0.2, headings=36)
+    pose, below = result.rival(1.5)
+    rows, cols = np.nonzero(result.evaluated)
+    places, values = result.poses(rows, cols), result.log_likelihood[rows, cols]
+    away = np.hypot(*(places - result.best_pose)[:, :2].T) >= 1.5 - 1e-9
+    assert below == values.max() - values[away].max() >= 0.0
+    np.testing.assert_array_equal(pose, places[away][np.argmax(values[away])])
+    assert result.rival(1000.0) is None
+    with pytest.raises(InvalidInputError, match="apart: expected"):
+        result.rival(-1.0)
+
+
 def test_nothing_is_nan_and_only_free_cells_are_evaluated(grid, truth):
     ranges = np.array(noisy_scan(grid, truth, finder()).ranges)
     ranges[::3], ranges[1] = np.nan, np.inf

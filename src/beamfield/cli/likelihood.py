@@ -1,7 +1,8 @@
 """Draw how likely a scan is over a whole map.
 
-Compute how likely a scan is at every free place of a map, with the heading that suits it best, say where the maximum is
-and how far from the reference pose, and draw it: the scan at its reference pose, and the likelihood over the map.
+Compute how likely a scan is at every free place of a map, with the heading that suits it best, say where the maximum
+is, which other place comes next, and how far the maximum is from the reference pose, and draw it: the scan at its
+reference pose, and the likelihood over the map.
 
 for example:
 
@@ -249,12 +250,16 @@ def _found(result: LikelihoodMap, measured: Any, model: MeasurementModel[Any], r
         "n_headings": len(result.headings),
         "resolution_m": result.resolution,
         "maximum": None,
+        "rival": None,
         "reference": None,
     }
     if result.is_flat:
         return found
     top = float(result.log_likelihood[result.best_cell])
     found["maximum"] = {"pose": [float(v) for v in result.best_pose], "log_likelihood": top}
+    rival = result.rival()
+    if rival is not None:
+        found["rival"] = {"pose": [float(v) for v in rival[0]], "below_maximum": rival[1]}
     if reference is None:
         return found
     step = between(reference, result.best_pose)
@@ -271,12 +276,14 @@ def _found(result: LikelihoodMap, measured: Any, model: MeasurementModel[Any], r
 
 def _summary(found: Mapping[str, Any]) -> str:
     """Return in words what was found."""
-    best, reference = found["maximum"], found["reference"]
+    best, rival, reference = found["maximum"], found["rival"], found["reference"]
     places = f"{found['n_places']:,} places of {found['resolution_m']:g} m, {found['n_headings']} headings"
     lines = [f"compared {found['n_poses']:,} poses: {places}"]
     if best is None:
         return "\n".join([*lines, "all places are equally likely: the scan says nothing here"])
     lines.append(f"maximum: {pose_text(best['pose'])}, log p(z | x, m) = {best['log_likelihood']:.2f} nats")
+    if rival is not None:
+        lines.append(f"next, 1 m away or more: {pose_text(rival['pose'])}, {rival['below_maximum']:.2f} nats less")
     if reference is None:
         return "\n".join([*lines, "the scan has no reference pose to compare with"])
     lines.append(

@@ -27,6 +27,8 @@ POSES_PER_CHUNK = 200_000
 # Two bytes for the best heading of each cell.
 MAX_HEADINGS = 3600
 MAX_CELLS = 100_000_000
+# A place further from the best one than this is another place, metres.
+RIVAL_APART = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,30 @@ class LikelihoodMap:
     def best_pose(self) -> FloatArray:
         """(3,) the pose with the largest value, metres and radians."""
         return np.asarray(self.poses(*self.best_cell))
+
+    def rival(self, apart: float = RIVAL_APART) -> tuple[FloatArray, float] | None:
+        """Return the best pose at another place: how sure the scan is of the best one.
+
+        Parameters
+        ----------
+        apart
+            How far from `best_pose` the place lies at least, metres.
+
+        Returns
+        -------
+        The pose (3,), metres and radians, and by how many nats its value is below the largest; None if no place that
+        far away is possible.
+        """
+        check_magnitude("apart", apart)
+        rows, cols = np.nonzero(self.evaluated & np.isfinite(self.log_likelihood))
+        best = self.best_cell
+        away = np.hypot(rows - best[0], cols - best[1]) * self.resolution >= apart
+        rows, cols = rows[away], cols[away]
+        if not len(rows):
+            return None
+        first = np.argmax(self.log_likelihood[rows, cols])
+        below = self.log_likelihood[best] - self.log_likelihood[rows[first], cols[first]]
+        return self.poses(rows[first], cols[first]), float(below)
 
     def plot(self, grid: OccupancyGrid) -> Figure:
         """Return a Matplotlib figure of the map, the darker the more likely.

@@ -237,6 +237,10 @@ def _is_repeated(log: SensorLog, i: int, given: int) -> bool:
     return bool(log.stamps[i] == log.stamps[given] and np.array_equal(log.ranges[i], log.ranges[given], equal_nan=True))
 
 
+_BEST_GUESS = (
+    "The poses are a best guess. Drive on, or give a start; beamfield trajectory searches by the whole log, beamfield "
+    "likelihood by one scan."
+)
 # Severity, what was seen, why it matters and what was done.
 _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
     "no-odometry": (
@@ -252,12 +256,12 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
     "not-found": (
         "warning",
         "The robot has not been found: at the end the filter is sure of no place.",
-        "The poses are a best guess. Drive on, or give a start; beamfield trajectory searches by the whole log.",
+        _BEST_GUESS,
     ),
     "found-late": (
         "warning",
         "The filter is sure of its place, but only for the last {n} scans used: so few fit somewhere in any map.",
-        "The poses are a best guess. Drive on, or give a start; beamfield trajectory searches by the whole log.",
+        _BEST_GUESS,
     ),
     "searched-again": (
         "warning",

@@ -12,6 +12,7 @@ from beamfield.report.stack_findings import stack_findings
 from beamfield.report.stack_result import StackResult
 from beamfield.report.stack_section import stack_verdict
 from beamfield.stacks.coordinates import FitSpace, log_of
+from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.fit.fit import _at_edge
 
 
@@ -59,7 +60,9 @@ def test_choices_at_the_end_of_what_was_tried_are_named(fit, names):
     ("n", "is_better", "names"), [(3, True, ["stack-few-stretches"]), (3, False, []), (4, True, [])]
 )
 def test_values_that_few_places_have_judged_are_named(n, is_better, names):
-    kept = SimpleNamespace(filter=SimpleNamespace(model="beam"), shift=0.0, sensor="fitted")
+    kept = SimpleNamespace(
+        filter=SimpleNamespace(model="beam", particles=AmclFilterParameters()), shift=0.0, sensor="fitted"
+    )
     replay = SimpleNamespace(before=kept, chosen=kept, trials_before=[()] * n, is_better=is_better)
     fit = fitted()
     assert [finding.name for finding in stack_findings(StackResult((fit,), fit, replay))] == names

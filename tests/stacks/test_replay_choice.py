@@ -114,8 +114,23 @@ def test_values_that_nothing_beats_are_kept(office, stretches):
     assert "none of 4 settings did better" in replay_verdict(choice)
 
 
+@pytest.mark.parametrize(("kind", "recovery"), [(KIND, "off"), ("likelihood_field", "before")])
+def test_poses_drawn_at_random_are_left_out_where_they_lead_astray(office, stretches, kind, recovery):
+    rates = {"recovery_alpha_slow": 0.01, "recovery_alpha_fast": 0.99}
+    sensor = replace(SENSOR, laser_model_type=kind, z_hit=0.95, z_rand=0.05, sigma_hit=0.05, max_beams=31)
+    own = replace(nav2_filter(**GOOD), model=kind, sensor=sensor, particles=AmclFilterParameters(100, 200, **rates))
+    choice = choose_by_replay(
+        own, {"before": (kind, sensor)}, MotionCandidates({"before": {}}, None), 0.0, stretches, office, FEW
+    )
+    assert choice.chosen.recovery == recovery
+    assert choice.is_better == (recovery == "off")
+    assert choice.chosen.filter.recovery_rates == ((0.0, 0.0) if recovery == "off" else (0.01, 0.99))
+    assert choice.n_settings == 2
+    assert "settings of sensor, motion noise, map origin and recovery were replayed" in replay_tables(choice)
+
+
 def test_seeds_that_are_missing_are_run_and_no_others(office, stretches, monkeypatch):
-    own = ReplaySetting("before", "before", 0.0, nav2_filter())
+    own = ReplaySetting("before", "before", 0.0, "before", nav2_filter())
     runs: list[int] = []
 
     def counted(replayed, log, seeds, **options):
@@ -166,7 +181,7 @@ def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, stretches,
     # Other inputs find nothing, and leave alone what is not theirs.
     left.write_bytes(content)
     with kept_runs(tmp_path / "cache", (*inputs[:-1], replace(FEW, seed=1))) as kept:
-        assert kept.find((0, ("before", "before", 0.0), range(2))) is None
+        assert kept.find((0, Key("before", "before", 0.0, "before"), range(2))) is None
     assert left.read_bytes() == content
 
 
@@ -266,7 +281,7 @@ def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office
 
     choice = choose(**{"alpha 0.02": GOOD})
     assert choice.is_better
-    assert choice.chosen.key == Key("before", "alpha 0.02", 0.0)
+    assert choice.chosen.key == Key("before", "alpha 0.02", 0.0, "before")
     assert choice.n_settings == 4
     # Where nothing else helps, what came nearest is told.
     nothing = choose()
@@ -392,7 +407,7 @@ def test_safe_noise_is_twice_what_the_log_shows_but_not_twice_the_floor(drive):
 
 def test_of_settings_as_good_the_one_nearest_to_safe_noise_is_taken():
     settings = [
-        ReplaySetting("before", name, 0.0, nav2_filter(**{f"alpha{i}": value for i in range(1, 5)}))
+        ReplaySetting("before", name, 0.0, "before", nav2_filter(**{f"alpha{i}": value for i in range(1, 5)}))
         for name, value in (("a", 0.02), ("b", 0.05), ("c", 0.1))
     ]
 

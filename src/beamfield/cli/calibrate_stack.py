@@ -132,7 +132,7 @@ def fit_for_stack(
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
     noise = dict(motion) if choice is None else found.motion
     said = _said(stack, noise)
-    changed |= {} if said else noise
+    changed |= found.recovery | ({} if said else noise)
     text = _file_text(job.arguments, found, {**asdict(found.parameters), **changed}, record, said)
     files = {f"{stack}.{STACKS[stack].syntax}": text}
     if choice is not None:

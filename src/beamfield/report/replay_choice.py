@@ -22,6 +22,7 @@ _PARTS = {
     "sensor": "sensor as before",
     "motion": "noise as before",
     "origin": "origin as before",
+    "recovery": "recovery as before",
 }
 
 
@@ -50,7 +51,7 @@ def replay_verdict(choice: ReplayChoice) -> str:
     inside = f"truth in the particles' 95% ellipse {_inside(before):.0%} -> {_inside(after):.0%}"
     lost = f"lost runs {_lost(before)} -> {_lost(after)}"
     if choice.is_better:
-        only_map = choice.chosen.sensor == choice.chosen.motion == BEFORE
+        only_map = choice.chosen.sensor == choice.chosen.motion == choice.chosen.recovery == BEFORE
         use = "Use the corrected map with the values you have" if only_map else "Use the new values"
         return (
             f"{use}: {where}, the position error is {choice.error.before:.3f} m before and "
@@ -67,10 +68,11 @@ def replay_verdict(choice: ReplayChoice) -> str:
 
 def describe(setting: ReplaySetting) -> str:
     """Return where the values of a setting come from."""
-    if setting.sensor == setting.motion == BEFORE and not setting.shift:
+    if setting.sensor == setting.motion == setting.recovery == BEFORE and not setting.shift:
         return "the values before"
     parts = [f"sensor {setting.sensor}", f"motion noise {setting.motion}"]
-    return ", ".join([*parts, *([f"map's origin {setting.shift:+g} m"] if setting.shift else [])])
+    parts += [f"map's origin {setting.shift:+g} m"] if setting.shift else []
+    return ", ".join([*parts, *([f"recovery {setting.recovery}"] if setting.recovery != BEFORE else [])])
 
 
 def replay_as_dict(choice: ReplayChoice) -> dict[str, Any]:
@@ -92,11 +94,16 @@ def replay_as_dict(choice: ReplayChoice) -> dict[str, Any]:
 
 
 def _what(choice: ReplayChoice) -> str:
-    moves_map = STACKS[choice.before.filter.stack].half_cell_low
-    parts = "sensor, motion noise and map origin" if moves_map else "sensor and motion noise"
+    before = choice.before.filter
+    *parts, last = (
+        "sensor",
+        "motion noise",
+        *(["map origin"] if STACKS[before.stack].half_cell_low else []),
+        *(["recovery"] if any(before.recovery_rates) else []),
+    )
     return (
-        f"{choice.n_settings} settings of {parts} were replayed in the emulated filter of "
-        f"{choice.before.filter.stack}; on each stretch of the log the best on all others is judged, over "
+        f"{choice.n_settings} settings of {', '.join(parts)} and {last} were replayed in the emulated filter of "
+        f"{before.stack}; on each stretch of the log the best on all others is judged, over "
         f"{choice.n_runs} runs. Each starts a stretch earlier from a belief 0.25 m and 6 "
         "degrees wide, and counts as 1 m off at most."
     )
@@ -150,6 +157,7 @@ def _setting_as_dict(setting: ReplaySetting) -> dict[str, Any]:
         "sensor": setting.sensor,
         "motion": setting.motion,
         "origin_shift": setting.shift,
+        "recovery": setting.recovery,
         "parameters": {**asdict(setting.filter.sensor), **asdict(setting.filter.motion)},
     }
 

@@ -23,6 +23,7 @@ def stack_findings(result: StackResult) -> list[Finding]:
         *_about_places(result),
         *_about_model(result),
         *_about_map(result),
+        *_about_recovery(result),
         *z_hit,
         *_about_coverage(result),
         *about_trial,
@@ -71,6 +72,21 @@ def _about_map(result: StackResult) -> Iterator[Finding]:
             why=f"{result.chosen.model.stack} reads maps half a cell off. In the replay the position error was "
             f"{origin.before:.3f} m with your map as it is, {origin.after:.3f} m with this one.",
             do="Let a second map_server publish it on a topic that amcl alone takes; all else needs your map as it is.",
+        )
+
+
+def _about_recovery(result: StackResult) -> Iterator[Finding]:
+    if result.replay is not None and (values := result.recovery):
+        recovery = result.replay.parts["recovery"]
+        yield Finding(
+            "stack-recovery",
+            "info",
+            f"{' and '.join(values)} become 0: no poses are drawn at random any more.",
+            values,
+            why="They come in when scans weigh less than they did, and whole scans do that wherever the map is a "
+            f"little wrong. In the replay the position error was {recovery.before:.3f} m with them, "
+            f"{recovery.after:.3f} m without.",
+            do="A robot that is carried elsewhere needs an initial pose: beamfield localize --global finds it.",
         )
 
 

@@ -83,7 +83,15 @@ class StackResult:
     @property
     def motion(self) -> dict[str, Any]:
         """The motion model's values that replay changed."""
+        return self._changed("motion")
+
+    @property
+    def recovery(self) -> dict[str, Any]:
+        """The filter's values that replay changed: those that draw poses at random."""
+        return self._changed("particles")
+
+    def _changed(self, part: str) -> dict[str, Any]:
         if self.replay is None:
             return {}
-        before, after = (asdict(one.filter.motion) for one in (self.replay.before, self.replay.chosen))
+        before, after = (asdict(getattr(one.filter, part)) for one in (self.replay.before, self.replay.chosen))
         return {name: value for name, value in after.items() if value != before[name]}

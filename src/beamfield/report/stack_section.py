@@ -115,6 +115,7 @@ def stack_as_dict(result: StackResult) -> dict[str, Any]:
         "model": chosen.model.model,
         "parameters": asdict(result.parameters),
         "motion": result.motion,
+        "recovery": result.recovery,
         "replay": {"missing": result.why_not} if replay is None else replay_as_dict(replay),
         "how": chosen.how,
         "covers": result.covers,
@@ -163,9 +164,10 @@ def _score_rows(fit: StackFit, used: Trial) -> list[tuple[str, ...]]:
 
 
 def _parameter_rows(result: StackResult) -> list[tuple[str, ...]]:
-    before, after = asdict(result.start), {**asdict(result.parameters), **result.motion}
+    before, after = asdict(result.start), {**asdict(result.parameters), **result.motion, **result.recovery}
     if result.replay is not None:
-        before |= asdict(result.replay.before.filter.motion)
+        its = result.replay.before.filter
+        before |= asdict(its.motion) | asdict(its.particles)
     return [(name, _value(before[name]), _value(value)) for name, value in after.items() if value != before[name]]
 
 

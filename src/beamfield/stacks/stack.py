@@ -282,6 +282,9 @@ class Stack:
         Whether it cuts distances off at a whole number of cells.
     asserts_p
         Whether it asserts that no beam scores more than 1.
+    averages_scans
+        Whether the averages that say how many poses to draw at random are of weights before they are normalised, which
+        differ from scan to scan as well.
     beams_taken
         Which beams it takes, for readers; "" for no word on it.
     off_map
@@ -326,6 +329,7 @@ class Stack:
     short_is_longest: bool = False
     cuts_at_cells: bool = False
     asserts_p: bool = False
+    averages_scans: bool = False
     beams_taken: str = ""
     off_map: str = ""
     flatter: str = "fewer beams or a wider sigma_hit"

@@ -163,6 +163,14 @@ FINDINGS = {
     "updates-far-apart in angle": ({"update_min_a": 1.1}, {}, {"update_min_a": 1.0}, {}),
     "particles-reversed": ({"min_particles": 500, "max_particles": 100}, {},
                            {"min_particles": 100, "max_particles": 500}, {}),
+    "recovery-in-product": (
+        {"laser_model_type": "likelihood_field_prob", "recovery_alpha_slow": 0.001, "recovery_alpha_fast": 0.1}, {},
+        {"laser_model_type": "likelihood_field", "recovery_alpha_slow": 0.001, "recovery_alpha_fast": 0.1}, {},
+    ),
+    "recovery-in-product of ROS 1's default": (
+        {"stack": "ros1", "laser_model_type": "likelihood_field_prob"}, {},
+        {"stack": "ros1", "laser_model_type": "likelihood_field_prob", "recovery_alpha_fast": 0.0}, {},
+    ),
     "recovery-reversed": ({"recovery_alpha_slow": 0.1, "recovery_alpha_fast": 0.01}, {},
                           {"recovery_alpha_slow": 0.001, "recovery_alpha_fast": 0.1}, {}),
     "recovery-reversed where both are alike": ({"recovery_alpha_slow": 0.1, "recovery_alpha_fast": 0.1}, {},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
 
 import numpy as np
@@ -76,9 +77,10 @@ def test_stock_files_pass_alone_and_with_a_map_and_a_log(tmp_path, world, capsys
     for more in ((), ("--map", str(world / "map.yaml"), "--log", str(world / "run.log"), "--max-range", "12")):
         code = main(["doctor", str(path), "--stack", stack, *more])
         out = capsys.readouterr().out
-        assert code == 0, out
-        assert "error:" not in out
-        assert "warning:" not in out
+        found = re.findall("^(?:error|warning): (\\S+)", out, re.MULTILINE)
+        # By default ROS 1 draws poses at random, which goes wrong with its product alone.
+        assert found == (["recovery-in-product"] if (stack, model) == ("ros1", "likelihood_field_prob") else []), out
+        assert code == len(found)
 
 
 def test_a_map_that_beamfield_saved_loses_no_cells(tmp_path, world, capsys):

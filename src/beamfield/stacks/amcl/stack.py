@@ -55,5 +55,5 @@ def amcl_stack(
         too_few_beams="with fewer than two beams amcl ignores scans",
         turned_map=f"{name} takes only the origin's x and y: every pose is matched against a rotated map",
         half_cell_low=True, wants_extremes=True, takes_lesser_limit=True, short_is_longest=True, cuts_at_cells=True,
-        asserts_p=True, beams_taken="every n-th beam",
+        asserts_p=True, averages_scans=True, beams_taken="every n-th beam",
     )  # fmt: skip

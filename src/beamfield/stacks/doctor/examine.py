@@ -53,6 +53,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     motion_checks.no_motion_noise,
     motion_checks.motion_noise,
     motion_checks.updates_and_particles,
+    motion_checks.random_poses,
     value_checks.loaded_elsewhere,
     calibrated,
 )

@@ -85,7 +85,7 @@ def no_motion_noise(subject: Subject) -> Iterator[Finding]:
 
 
 def updates_and_particles(subject: Subject) -> Iterator[Finding]:
-    """Find updates that are far apart, fewer particles at most than at least, and averages of weights reversed."""
+    """Find updates that are far apart, and fewer particles at most than at least."""
     settings = _settings(subject)
     if settings is None:
         return
@@ -110,8 +110,27 @@ def updates_and_particles(subject: Subject) -> Iterator[Finding]:
             "set max_particles to no less than min_particles", own=own,
             values={"min_particles": float(least), "max_particles": float(most_)},
         )  # fmt: skip
-    slow, fast = (getattr(settings.particles, f"recovery_alpha_{name}", 0.0) for name in ("slow", "fast"))
-    if slow > 0.0 and slow >= fast:
+
+
+def random_poses(subject: Subject) -> Iterator[Finding]:
+    """Find averages of weights, by which poses are drawn at random, whose ratio says nothing or is reversed."""
+    settings = _settings(subject)
+    if settings is None:
+        return
+    slow, fast = settings.recovery_rates
+    values = {"recovery_alpha_slow": slow, "recovery_alpha_fast": fast}
+    if fast > 0.0 and subject.stack.averages_scans and subject.model.multiplies(settings.sensor):
+        own = subject.file.name_in_file("recovery_alpha_fast")
+        yield subject.finding(
+            "recovery-in-product", "warning",
+            f"{own} is {fast:g}{'' if own in subject.file.of_filter.section.entries else ' by default'}, and "
+            f"{settings.model} multiplies over beams",
+            "such weights fall by powers of ten where the map is a little wrong: poses drawn at random replace the "
+            "particles, though the robot is not lost",
+            "set both rates to 0; a robot that was carried elsewhere is found by beamfield localize --global",
+            own=own, values=values,
+        )  # fmt: skip
+    elif slow > 0.0 and slow >= fast:
         # Of random poses there is a share of 1 - fast / slow, by the averages that these rates make.
         when = "when the weights have just risen" if slow > fast else "never"
         own = subject.file.name_in_file("recovery_alpha_slow")
@@ -119,7 +138,7 @@ def updates_and_particles(subject: Subject) -> Iterator[Finding]:
             "recovery-reversed", "warning", f"{own} is {slow:g}, recovery_alpha_fast is {fast:g}",
             f"random poses, which find a lost robot again, are mixed in {when}, not when the weights fall",
             "set the slow rate to a hundredth of the fast one, 0.001 and 0.1 for example, or both to 0 for no recovery",
-            own=own, values={"recovery_alpha_slow": slow, "recovery_alpha_fast": fast},
+            own=own, values=values,
         )  # fmt: skip
 
 

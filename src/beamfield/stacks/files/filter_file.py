@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, cast
 
 from beamfield.errors import FormatError
@@ -38,6 +38,15 @@ class FilterSettings:
     def update_distances(self) -> tuple[float, float]:
         """How far, metres, or by how much, radians, the robot moves between two updates; 0 for both: every scan."""
         return getattr(self.particles, "update_min_d", 0.0), getattr(self.particles, "update_min_a", 0.0)
+
+    @property
+    def recovery_rates(self) -> tuple[float, float]:
+        """Rates of the slow and the fast average of the weights, whose ratio says how many poses to draw at random."""
+        return getattr(self.particles, "recovery_alpha_slow", 0.0), getattr(self.particles, "recovery_alpha_fast", 0.0)
+
+    def without_recovery(self) -> FilterSettings:
+        """Return the filter that draws no poses at random; only for one that has such rates."""
+        return replace(self, particles=replace(self.particles, recovery_alpha_slow=0.0, recovery_alpha_fast=0.0))
 
     def at_ticks(self, log: SensorLog) -> SensorLog:
         """Return the scans that a filter takes which updates by the clock; all for others."""

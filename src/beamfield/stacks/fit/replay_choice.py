@@ -30,7 +30,10 @@ NEAREST = 0.001
 # Seeds of the race's first round, how many settings come into the second, and how many with the best sensor's values
 # into the last; there the best with other values of the sensor runs as well.
 FIRST_SEEDS, KEPT, LAST = 2, 6, 3
-OWN = Key(BEFORE, BEFORE, 0.0)
+OFF = "off"
+OWN = Key(BEFORE, BEFORE, 0.0, BEFORE)
+# What the user has stays unless other values are better for sure; a map's origin that is right needs no such proof.
+PROVEN = ("recovery", "motion", "sensor")
 # Motion noise of 0 is compared as this.
 LEAST_NOISE = 1e-6
 # An error counts this many times more than it is, per share of the updates that the particles' 95% ellipse lacks of
@@ -100,20 +103,20 @@ class ReplayChoice:
         The best over all stretches; the same if that was the user's.
     is_better
         Whether the finalist won: its cost is surely lower, and its error lower or its coverage higher for sure; neither
-        the error nor the share of lost runs is surely higher. It has the user's motion noise or sensor where
+        the error nor the share of lost runs is surely higher. It has the user's recovery, motion noise or sensor where
         neither cost nor error is surely lower with others, and the rest wins without.
     trials_before, trials_finalist
         Runs on each stretch, paired: of the user's setting, and of the one that the other stretches choose, mostly the
         finalist. No stretch judges what it has chosen.
     trials_without
-        By "sensor", "motion" or "origin", as far as the finalist differs in it: the finalist's runs without it.
+        By the names of a `Key`, as far as the finalist differs in it: the finalist's runs without it.
     error
         Mean position error of a run, no more than 1 m: before and finalist.
     cost
         The same raised for missing coverage, as a natural logarithm: a difference of -0.1 is about 10% less. Places
         where every setting is far off so count no more than others.
     parts
-        By "sensor", "motion" or "origin", as far as the finalist differs in it: the error without and with it.
+        By the names of a `Key`, as far as the finalist differs in it: the error without and with it.
     n_settings
         How many settings were tried.
     """
@@ -151,15 +154,15 @@ def choose_by_replay(
     progress: Progress | None = None,
     kept: KeptRuns | None = None,
 ) -> ReplayChoice:
-    """Choose sensor parameters, motion noise and the map's origin by replaying the stack's filter.
+    """Choose sensor parameters, motion noise, the map's origin and recovery by replaying the stack's filter.
 
     All combinations of sensor and motion race with few seeds, and then the best with more; all motion noises are
     compared with the best sensor's values. They race with the map's origin set right, where that is possible: that the
-    program reads its map half a cell off is known, and only a surely greater error speaks against it. Of what is left
-    the stretches of the log choose together, and keep the user's motion noise or sensor if other values are not surely
-    better. They judge crosswise: on each one the setting that the others choose runs against the user's. A few
-    stretches disagree too much for half of them to choose and half to judge. If the choice is not better for sure, it
-    is made once more without its sensor.
+    program reads its map half a cell off is known, and only a surely greater error speaks against it. And they race
+    without poses drawn at random, which hide what is good. Of what is left the stretches of the log choose together,
+    and keep the user's recovery, motion noise or sensor if other values are not surely better. They judge crosswise: on
+    each one the setting that the others choose runs against the user's. A few stretches disagree too much for half of
+    them to choose and half to judge. If the choice is not better for sure, it is made once more without its sensor.
 
     Parameters
     ----------
@@ -183,18 +186,20 @@ def choose_by_replay(
         Runs of an interrupted call with the same inputs; this one's are added.
     """
     options, kept = options or ReplayOptions(), kept or KeptRuns()
+    recoveries = {BEFORE: before} | ({OFF: before.without_recovery()} if any(before.recovery_rates) else {})
     settings = {
-        Key(sensor, motion, shift): ReplaySetting(
-            sensor, motion, shift,
+        Key(sensor, motion, shift, recovery): ReplaySetting(
+            sensor, motion, shift, recovery,
             replace(
-                before, model=sensors[sensor][0], sensor=sensors[sensor][1],
+                of_recovery, model=sensors[sensor][0], sensor=sensors[sensor][1],
                 motion=replace(before.motion, **motions.by_name[motion]),
             ),
         )
-        for sensor, motion, shift in product(sensors, motions.by_name, {0.0, shift})
+        for sensor, motion, shift, (recovery, of_recovery)
+        in product(sensors, motions.by_name, {0.0, shift}, recoveries.items())
     }  # fmt: skip
-    own = settings[OWN]
-    raced = [one for one in settings.values() if one.shift == shift or one is own]
+    own, calm = settings[OWN], [*recoveries][-1]
+    raced = [one for one in settings.values() if (one.shift, one.recovery) == (shift, calm) or one is own]
     replays = Replays(stretches, grid, options.seeds(len(stretches)), options.seed, kept)
     safe = None if motions.safe is None else replace(before.motion, **motions.safe)
     last = _race(raced, replays, progress)
@@ -202,7 +207,7 @@ def choose_by_replay(
 
     def choose(asked: Sequence[int]) -> ReplaySetting:
         best = _of_equals(last, by_stretch[:, asked].mean(axis=1), safe)
-        for part in ("motion", "sensor"):
+        for part in PROVEN:
             plain = settings[best.key._replace(**{part: getattr(OWN, part)})]
             if plain is not best and not _is_surely_cheaper(best, plain, replays, asked):
                 best = plain
@@ -241,7 +246,7 @@ def choose_by_replay(
         )
 
     choice = judge(finalist, crossed)
-    for part in ("motion", "sensor"):
+    for part in PROVEN:
         # All stretches chose it; what the judgement does not confirm is chance.
         if choice.is_better and not _is_confirmed(choice, part):
             key, *keys = (one.key._replace(**{part: getattr(OWN, part)}) for one in (choice.finalist, *crossed))
@@ -289,9 +294,9 @@ def _race(settings: list[ReplaySetting], replays: Replays, progress: Progress | 
 
     left = best_first(settings, FIRST_SEEDS, f"racing {len(settings)} settings")[:KEPT]
     left = best_first(left, some, f"racing the best {len(left)}")
-    sensor, _, shift = left[0].key
-    others = [one for one in left if one.sensor != sensor][:1]
-    left = [one for one in settings if (one.sensor, one.shift) == (sensor, shift)]
+    best = left[0]
+    others = [one for one in left if one.sensor != best.sensor][:1]
+    left = [one for one in settings if one.key._replace(motion=best.motion) == best.key]
     return best_first(left, some, "comparing motion noise")[:LAST] + others
 
 

@@ -35,6 +35,8 @@ class Key(NamedTuple):
     """Name of the motion's values."""
     origin: float
     """Shift of the map's origin, metres."""
+    recovery: str
+    """Whether poses are drawn at random when the weights drop: "before" as the user has it, or "off"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,8 @@ class ReplaySetting:
         Where its parameters come from: "before" for the user's.
     shift
         What is added to the map's x and y origin, metres.
+    recovery
+        "before" as the user has it, or "off".
     filter
         All parameters.
     """
@@ -54,12 +58,13 @@ class ReplaySetting:
     sensor: str
     motion: str
     shift: float
+    recovery: str
     filter: FilterSettings
 
     @property
     def key(self) -> Key:
         """What tells it from others."""
-        return Key(self.sensor, self.motion, self.shift)
+        return Key(self.sensor, self.motion, self.shift, self.recovery)
 
 
 class Replays:

@@ -184,7 +184,7 @@ class SensorLog:
         InvalidInputError
             If the shape is not (t, 3).
         """
-        return replace(self, poses=np.asarray(poses, dtype=np.float64))
+        return replace(self, poses=as_floats(poses, "poses"))
 
     @property
     def has_poses(self) -> bool:

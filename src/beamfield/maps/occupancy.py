@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.argument_kinds import expect
-from beamfield.arguments import as_floats, check_fields, check_magnitude, checked, keep, require
+from beamfield.arguments import as_floats, check_fields, check_magnitude, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, invert, transform_points
 from beamfield.short_repr import short_repr
@@ -72,6 +72,7 @@ class OccupancyGrid:
         ) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import LARGEST, as_floats, check_fields, checked, keep, require
+from beamfield.arguments import LARGEST, as_floats, check_fields, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.indices import as_indices
@@ -71,6 +71,7 @@ class RangeFinder:
         ) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

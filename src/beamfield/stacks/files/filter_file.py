@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, cast
 
@@ -36,7 +36,7 @@ class FilterSettings:
     sensor: Any
     motion: Any
     particles: Any
-    path: Path | None = None
+    path: Path | None = field(default=None, kw_only=True)
 
     @property
     def update_distances(self) -> tuple[float, float]:
@@ -83,4 +83,4 @@ def read_filter_settings(file: StackFile) -> FilterSettings:
         raise FormatError(file.section.path, message)
     sensor, whole = checked_values(file), file.of_filter
     motion, particles = (checked_fields(whole, kind) for kind in (described.motion, described.parameters))
-    return FilterSettings(file.stack, file.model, sensor, motion, particles, file.section.path)
+    return FilterSettings(file.stack, file.model, sensor, motion, particles, path=file.section.path)

@@ -104,7 +104,7 @@ class HalfMapSettings(FilterSettings):
     @classmethod
     def of(cls, settings: FilterSettings, maps: HalfMaps) -> HalfMapSettings:
         """Return settings of a filter for these maps."""
-        return cls(*(getattr(settings, item.name) for item in fields(FilterSettings)), maps)
+        return cls(**{item.name: getattr(settings, item.name) for item in fields(FilterSettings)}, maps=maps)
 
     def emulator(self, grid: OccupancyGrid) -> Any:
         """Return the measurement models on both maps, moved as `grid` is, the second of them."""

@@ -189,7 +189,10 @@ def test_numbers_are_taken_as_they_are_or_refused():
     masked = np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
     with pytest.raises(InvalidInputError, match=r"x: .* got an array with 1 of 3 masked: \.filled\(np\.nan\) has NaN"):
         as_floats(masked, "x")
+    with pytest.raises(InvalidInputError, match="expected an array of numbers, got the list"):
+        as_floats([*np.ma.array([[1, 2]] * 2, mask=[[0, 0], [0, 1]])], "x")
     assert type(as_floats(masked[::2], "x")) is np.ndarray
+    assert as_floats([masked[::2]], "x").tolist() == [[1.0, 3.0]]
     for wrong in (["1"], [None], np.array([np.datetime64("2026-01-01")]), [[1.0], [1.0, 2.0]], 1j, {1.0}):
         with pytest.raises(InvalidInputError, match=r"^x: expected an array of numbers, got "):
             as_floats(wrong, "x")

@@ -11,10 +11,12 @@ import sys
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import beamfield as bf
 from beamfield.errors import BeamfieldError
+from beamfield.localization.particles import Particles
 
 both = pytest.mark.parametrize("package", [bf, bf.fleet, bf.localization], ids=lambda package: package.__name__)
 
@@ -76,28 +78,25 @@ def test_the_import_loads_nothing_and_a_name_what_it_needs():
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-MISSING = dataclasses.MISSING
+def array_fields(kind):
+    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
+    return [one.name for one in fields if one.init and "Array" in one.type and "ArrayLike" not in one.type]
 
 
-def given_fields(kind):
-    return [one for one in dataclasses.fields(kind) if one.init] if dataclasses.is_dataclass(kind) else []
+BUILT_OF_ARRAYS = [kind for kind in (getattr(bf, name) for name in bf.__all__) if array_fields(kind)] + [
+    Particles, bf.localization.PoseBelief, bf.localization.SearchWindow
+]  # fmt: skip
 
 
-def must_have(field):
-    return field.default is MISSING and field.default_factory is MISSING
-
-
-@pytest.mark.parametrize(
-    "name",
-    [n for n in bf.__all__ if any("Array" in one.type and must_have(one) for one in given_fields(getattr(bf, n)))],
-)
-def test_type_checkers_let_lists_pass_where_a_constructor_makes_arrays_of_them(name):
-    said = ast.walk(ast.parse(textwrap.dedent(inspect.getsource(getattr(bf, name)))))
+@pytest.mark.parametrize("kind", BUILT_OF_ARRAYS)
+def test_type_checkers_let_lists_pass_where_a_constructor_makes_arrays_of_them(kind):
+    said = ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kind))))
     (declared,) = (one for one in said if isinstance(one, ast.FunctionDef) and one.name == "__init__")
-    hints = {one.arg: ast.unparse(one.annotation) for one in declared.args.args[1:]}
-    fields = given_fields(getattr(bf, name))
-    assert list(hints) == [one.name for one in fields]
-    assert all(hints[one.name].startswith("ArrayLike") for one in fields if "Array" in one.type)
-    optional = [one for one in fields if not must_have(one)]
-    expected = [... if one.default is MISSING else one.default for one in optional]
-    assert [ast.literal_eval(one) for one in declared.args.defaults] == expected
+    args, made = declared.args, inspect.signature(kind).parameters.values()
+    hints = {one.arg: ast.unparse(one.annotation) for one in (*args.args[1:], *args.kwonlyargs)}
+    assert list(hints) == [one.name for one in made]
+    assert [one.arg for one in args.kwonlyargs] == [one.name for one in made if one.kind is one.KEYWORD_ONLY]
+    assert all(hints[name].startswith("ArrayLike") for name in array_fields(kind))
+    defaults = [eval(ast.unparse(one), {"np": np}) for one in (*args.defaults, *filter(None, args.kw_defaults))]
+    factories = {one.name for one in dataclasses.fields(kind) if one.default_factory is not dataclasses.MISSING}
+    assert defaults == [... if one.name in factories else one.default for one in made if one.default is not one.empty]

@@ -67,6 +67,8 @@ def test_selecting_scans_keeps_columns_together():
     assert log.has_poses
     assert not log.has_odometry
     assert [scan.stamp for scan in log] == [0.0, 1.0, 2.0, 3.0]
+    with pytest.raises(InvalidInputError, match=r"poses: .* got an array with 4 of 12 masked"):
+        log.with_poses(np.ma.masked_greater(np.tile([0.0, 0.0, 4.0], (4, 1)), 3.0))
 
 
 def test_a_stamp_is_shown_to_the_millisecond():

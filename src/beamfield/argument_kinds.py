@@ -17,6 +17,7 @@ from beamfield.errors import InvalidInputError
 
 _NUMBERS = "biuf"
 # From NumPy 2.5 on NDArray[...] is an alias that keeps its array to itself.
+_MASKED = np.ma.MaskedArray
 _ARRAYS = (np.ndarray, get_origin(NDArray[np.float64]))
 
 
@@ -95,15 +96,18 @@ def is_array_of_numbers(value: Any) -> bool:
         return value.dtype.kind in _NUMBERS and not _is_masked(value)
     if isinstance(value, collections.abc.Mapping | set | frozenset):
         return False
+    # Rows of a masked array; looking at each of a list's items would take as long as to make an array of them.
+    if type(value) is list and value and type(value[0]) is _MASKED and any(map(_is_masked, value)):
+        return False
     try:
         return np.asarray(value).dtype.kind in _NUMBERS
     except (ValueError, TypeError):
         return False
 
 
-def _is_masked(value: NDArray[Any]) -> bool:
-    """Return whether numbers of an array are masked: NumPy would go on with what is below the mask."""
-    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
+def _is_masked(value: Any) -> bool:
+    """Return whether it is an array with numbers that are masked: NumPy would go on with what is below the mask."""
+    return isinstance(value, _MASKED) and bool(np.ma.is_masked(value))
 
 
 def advice(hint: Any, value: Any) -> str:
@@ -162,9 +166,10 @@ def described(value: Any) -> str:
         return _short(repr(value) if not isinstance(value, np.generic) else str(value))
     if isinstance(value, str):
         return f"the text {_short(repr(value))}"
-    if isinstance(value, np.ndarray) and _is_masked(value):
+    if _is_masked(value):
         n = np.count_nonzero(np.ma.getmaskarray(value))
-        return f"an array with {n} of {value.size} masked: .filled(np.nan) has NaN there"
+        as_floats = "" if value.dtype.kind == "f" else ".astype(float)"
+        return f"an array with {n} of {value.size} masked: {as_floats}.filled(np.nan) has NaN there"
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype} with shape {value.shape}"
     if isinstance(value, list | tuple | dict | set):

@@ -145,6 +145,14 @@ def keep(instance: object, **values: object) -> None:
         object.__setattr__(instance, name, value)
 
 
+def restore(instance: object, state: dict[str, Any]) -> None:
+    """Set the fields of a frozen dataclass that is unpickled or copied; arrays become read-only, as `keep` made them.
+
+    NumPy brings them back writeable, which to the compiler is another type: kernels would be compiled anew.
+    """
+    keep(instance, **state)
+
+
 def check_magnitude(name: str, sigma: float) -> None:
     """Refuse a standard deviation whose density cannot be computed: it has to be from 1e-12 to 1e9."""
     require(SMALLEST <= sigma <= LARGEST, name, f"a positive number from {SMALLEST:g} to {LARGEST:g}", sigma)

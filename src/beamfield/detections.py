@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import LARGEST, check_fields, keep, require
+from beamfield.arguments import LARGEST, check_fields, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.indices import subset_of
@@ -71,6 +71,7 @@ class Detections:
         ) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

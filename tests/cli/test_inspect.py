@@ -117,6 +117,13 @@ def test_a_bag_without_scans_is_shown_as_the_map_it_holds(tmp_path, capsys):
     assert "map of 60 x 50 cells" in shown(capsys, path, "--map-topic", "/map")
 
 
+def test_the_picture_that_is_offered_has_the_whole_name_of_a_bags_folder(tmp_path, capsys):
+    folder = MiniBag().scan(1.0).write(tmp_path, "drive_3.5")
+    assert "add --out drive_3.5.png" in shown(capsys, folder)
+    (file,) = folder.glob("*.mcap")
+    assert f"add --out {file.stem}.png" in shown(capsys, file)
+
+
 def test_a_bag_with_neither_scans_nor_map_is_refused_for_its_scans(tmp_path, capsys):
     path = MiniBag("ros1").odometry(1.0, (0.0, 0.0)).write(tmp_path)
     text = refused(capsys, path)

@@ -9,6 +9,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
 from beamfield.detections import Detections
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import between, compose, invert, wrap_angle
@@ -23,6 +24,7 @@ from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.landmark_poses import sample_poses
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, Scan
+from tests.compiled_kernels import compiled_kernels
 from tests.contract.conftest import draw_floor
 
 EDGES = [0.0, -0.0, 5e-324, 1e-310, 1e-160, 1e-12, 1e-9, 1e9, 1e12, 1e100, 1e160, 1e308, -5.0, -1e308]
@@ -99,3 +101,15 @@ def test_composing_poses_of_any_size_gives_headings_on_the_circle(a, b):
     for pose, turn in ((compose(a, b), a[2] + b[2]), (invert(a), a[2]), (between(a, b), b[2] - a[2])):
         assert -math.pi < pose[2] <= math.pi or math.isinf(turn)
     assert -math.pi < float(wrap_angle(a[2])) <= math.pi
+
+
+def test_whole_numbers_are_taken_as_floats_so_that_nothing_is_compiled_anew(rng):
+    expected = rng.uniform(1.0, 9.0, 500)
+    ranges = rng.normal(expected, 0.05)
+    field = LikelihoodFieldModel(GRID, LikelihoodFieldParameters(0.8, 0.1, 0.1))
+    results = []
+    for max_range, min_range in ((10.0, 0.0), (10, 0)):
+        learned = learn_intrinsic_parameters(ranges, expected, max_range, min_range=min_range)
+        scan = Scan([2.0], RangeFinder.from_bearings([0.0], max_range, min_range=min_range))
+        results.append((learned.parameters, field.log_likelihood(scan, [2.0, 2.0, 0.0]), compiled_kernels()))
+    assert results[0] == results[1]

@@ -15,6 +15,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
+from tests.compiled_kernels import compiled_kernels
 from tests.contract.conftest import POSES
 from tests.threads import forced_threads
 
@@ -100,12 +101,15 @@ def test_inputs_are_left_alone(case):
         assert pickle.dumps(before) == pickle.dumps(copy.deepcopy(z))
 
 
-def test_survives_pickling(case):
+def test_survives_pickling_and_compiles_nothing_anew(case):
     for options in case.options:
         model = case.build(**options)
-        twin = pickle.loads(pickle.dumps(model))
-        for z in case.measurements:
-            assert twin.log_likelihood(z, POSES).tolist() == model.log_likelihood(z, POSES).tolist()
+        expected = [model.log_likelihood(z, POSES).tolist() for z in case.measurements]
+        known = compiled_kernels()
+        twin, measurements = pickle.loads(pickle.dumps((model, case.measurements)))
+        assert [twin.log_likelihood(z, POSES).tolist() for z in case.measurements] == expected
+        assert [model.log_likelihood(z, POSES).tolist() for z in measurements] == expected
+        assert compiled_kernels() == known
 
 
 def test_is_frozen(case):

@@ -11,13 +11,14 @@ from beamfield.fleet.folder import Folder
 from beamfield.fleet.manifest import read_manifest
 
 CSV = """\
-log,map,robot,site,poses,start,sensor,lone-poses
-a.bag,m.yaml,ann,hall,,1 2 90,/scan,odometry
-/b.bag,s3://k:s@bucket/m.yaml,bob,hall,b.tum,,,
+log,map,robot,site,poses,start,sensor,mount,lone-poses
+a.bag,m.yaml,ann,hall,,1 2 90,/scan,0.2 0 180,odometry
+/b.bag,s3://k:s@bucket/m.yaml,bob,hall,b.tum,,,,
 """
 YAML = """\
 runs:
-  - {log: a.bag, map: m.yaml, robot: ann, site: hall, start: [1, 2, 90], sensor: /scan, lone-poses: odometry}
+  - {log: a.bag, map: m.yaml, robot: ann, site: hall, start: [1, 2, 90], sensor: /scan, mount: [0.2, 0, 180],
+     lone-poses: odometry}
   - log: /b.bag
     map: s3://k:s@bucket/m.yaml
     robot: bob
@@ -36,10 +37,11 @@ def test_csv_and_yaml_say_the_same(tmp_path: Path):
     for ann, bob in rows:
         assert (ann.log, ann.robot, ann.start, ann.sensor, ann.poses) == ("a.bag", "ann", (1.0, 2.0, 90.0), "/scan", "")
         assert (bob.log, bob.poses, bob.start, bob.sensor) == ("/b.bag", "b.tum", None, "")
+        assert (ann.mount, bob.mount) == ((0.2, 0.0, 180.0), None)
         assert (ann.lone_poses, bob.lone_poses) == ("odometry", "reference")
         assert ann.resolve(ann.log) == str(tmp_path / "a.bag")
         assert (bob.resolve(bob.log), bob.resolve(bob.map)) == ("/b.bag", "s3://k:s@bucket/m.yaml")
-    assert [row.line for both in rows for row in both] == [2, 3, 2, 3]
+    assert [row.line for both in rows for row in both] == [2, 3, 2, 4]
 
 
 @pytest.mark.parametrize(
@@ -55,6 +57,7 @@ def test_csv_and_yaml_say_the_same(tmp_path: Path):
         ("log,map,robot,site\na,m,r,s\n# b\na,m,q,s\n", ":4: log: 'a' is in line 2, too"),
         ("log,map,robot,site,start\na,m,r,s,1 2\n", ":2: start: expected three numbers, x y degrees, got ['1', '2']"),
         ("log,map,robot,site,start\na,m,r,s,1 2 nan\n", ":2: start: expected three numbers"),
+        ("log,map,robot,site,mount\na,m,r,s,1 2\n", ":2: mount: expected three numbers, x y degrees, got ['1', '2']"),
         ("log,map,robot,site,start,poses\na,m,r,s,1 2 3,p\n", ":2: start: is for a log without poses"),
         (f"log,map,robot,site\na,m,{'r' * 101},s\n", ":2: robot: expected at most 100 characters that print"),
         ("log,map,robot,site,lone-poses\na,m,r,s,odom\n", ":2: lone-poses: expected reference or odometry, got 'odom'"),

@@ -195,6 +195,16 @@ def test_without_a_fault_all_is_well_only_where_everything_was_tested(report):
         assert "No robot shows a fault in what was tested. Not tested" in page
 
 
+def test_how_logs_were_read_is_listed_once_for_all_runs_of_which_it_is_said(report):
+    assert "How logs were read" not in render_fleet_page(report)
+    notes = [("12% are beyond <10 m>",), ("14% are beyond <10 m>", "two nodes publish /odom"), ()]
+    records = tuple(replace(one, notes=said) for one, said in zip(RECORDS, notes, strict=False))
+    page = render_fleet_page(replace(report, records=records)).partition("How logs were read")[2]
+    assert page.count("are beyond &lt;10 m&gt;") == page.count("12% are beyond") == page.count("two nodes") == 1
+    said = report_as_dict(replace(report, records=records))["runs"]
+    assert [one["notes"] for one in said] == [list(one) for one in notes]
+
+
 def test_a_map_and_a_drift_of_one_day_are_not_tested(report):
     one_day = replace(report.stale_maps[0], places=(), days=1)
     series = tuple(replace(one, days=one.days[:3], values=one.values[:3]) for one in report.series)

@@ -284,3 +284,25 @@ def test_a_log_of_no_day_is_left_out(tmp_path: Path, drive: SensorLog, world: Pa
     (tmp_path / "fleet.csv").write_text(f"log,map,robot,site\na.log,{world / 'office.yaml'},ann,hall\n")
     (record,) = scan(tmp_path / "fleet.csv", tmp_path / "catalogue").records
     assert "in no year from 1970 to 9999" in record.reason
+
+
+def test_a_bag_that_lacks_the_mount_is_read_with_that_of_the_manifest(tmp_path: Path, drive: SensorLog, world: Path):
+    pytest.importorskip("rosbags")
+    from tests.io.mini_bag import MiniBag, quaternion
+
+    run, bag = part_of(drive, 0, NOON), MiniBag()
+    bearings = run.finder.bearings
+    for stamp, (x, y, heading), ranges in zip(run.stamps, run.poses, run.ranges, strict=True):
+        bag.scan(stamp, ranges, angle_min=bearings[0], increment=bearings[1] - bearings[0], range_max=2.0)
+        bag.tf("map", "base_link", stamp, (x, y, 0.0), quaternion(yaw=heading))
+    bag.write(tmp_path, "run")
+    row = f"{world / 'office.yaml'},ann,hall"
+    (tmp_path / "bare.csv").write_text(f"log,map,robot,site\nrun,{row}\n")
+    (record,) = scan(tmp_path / "bare.csv", tmp_path / "catalogue").records
+    assert "give mount" in record.reason
+    (tmp_path / "fleet.csv").write_text(f"log,map,robot,site,mount\nrun,{row},0.2 0.1 5\n")
+    (record,) = scan(tmp_path / "fleet.csv", tmp_path / "catalogue").records
+    assert record.is_used
+    np.testing.assert_allclose(record.mounts[0], [0.2, 0.1, np.radians(5.0) + bearings[0]], atol=1e-6)
+    (note,) = (note for note in record.notes if "range_max" in note)
+    assert "of the readings are beyond the declared range_max of 2 m" in note

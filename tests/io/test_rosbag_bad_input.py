@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import sqlite3
 import struct
+import subprocess
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ import pytest
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 from beamfield.io.bags.reader import read_bag, read_bag_map
 from beamfield.io.files import yaml_file
+from beamfield.io.files.bag_storage import repair_of
 from beamfield.io.read_log import read_log
 from tests.fuzz.mutate.bag1 import CONNECTION, MAGIC, bag1_bytes, bag1_records
 from tests.io.mini_bag import LASER_SCAN, RAW, STORAGES, MiniBag, quaternion
@@ -89,10 +92,19 @@ def test_a_cut_bag(storage, share, tmp_path):
     file.write_bytes(content[: int(share * len(content))])
     repair = {
         "ros1": "rosbag reindex log.bag",
-        "sqlite3": "sqlite3 log.db3 .recover | sqlite3 repaired.db3",
+        "sqlite3": "sqlite3 log.db3 .dump | sed '/^ROLLBACK/s/.*/COMMIT;/' | sqlite3 repaired.db3",
         "mcap": "mcap recover log.mcap -o repaired.mcap",
     }
     assert f"; `{repair[storage]}` may save what is left" in refuse(path, "damaged or truncated")
+
+
+@pytest.mark.skipif(shutil.which("sqlite3") is None, reason="the command line of SQLite is not installed")
+def test_the_command_that_is_advised_mends_a_cut_database(tmp_path):
+    file = storage_file(many_scans("sqlite3").write(tmp_path))
+    content, page = file.read_bytes(), 4096  # file systems keep whole pages
+    file.write_bytes(content[: int(0.9 * len(content)) // page * page])
+    subprocess.run(repair_of(file), shell=True, cwd=file.parent, stderr=subprocess.DEVNULL)
+    assert len(read_bag(file.with_name("repaired.db3")).only_sensor()) > 100
 
 
 def test_a_compressed_file_of_a_bag_alone(tmp_path):

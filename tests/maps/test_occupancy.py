@@ -67,6 +67,13 @@ def test_a_probability_at_a_threshold_is_on_its_side():
         OccupancyGrid([[0.5]], 0.1, occupied_thresh=0.3, free_thresh=0.3)
 
 
+def test_cells_that_are_masked_are_not_taken_for_what_lies_below_the_mask():
+    cells = np.ma.array([[0, 100]], np.int8, mask=[[False, True]])
+    with pytest.raises(InvalidInputError, match=r"^data: .* with 1 of 2 masked: \.astype\(float\)\.filled\(np\.nan\)"):
+        OccupancyGrid.from_ros(cells, 0.1)
+    assert np.isnan(OccupancyGrid.from_ros(cells.astype(float).filled(np.nan), 0.1).probability[0, 1])
+
+
 @pytest.mark.parametrize("bad", [-2, 101])
 def test_a_value_that_no_message_has_is_named(bad):
     with pytest.raises(InvalidInputError, match=f"data: expected -1 or 0 to 100, got {bad}"):

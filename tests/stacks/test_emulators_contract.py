@@ -25,6 +25,7 @@ from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import model_named, parameter_class
 from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
 from beamfield.stacks.ros1.parameters import Ros1Parameters
+from tests.compiled_kernels import compiled_kernels
 from tests.stacks.small_room import COMMON, small_room, small_scan
 from tests.threads import forced_threads
 
@@ -145,9 +146,11 @@ def test_inputs_stay_as_they_are(model, poses):
 
 
 def test_pickles(model, poses):
-    again = pickle.loads(pickle.dumps(model))
     scan = small_scan()
-    assert (again.log_likelihood(scan, poses) == model.log_likelihood(scan, poses)).all()
+    expected, known = model.log_likelihood(scan, poses), compiled_kernels()
+    again = pickle.loads(pickle.dumps(model))
+    assert (again.log_likelihood(scan, poses) == expected).all()
+    assert compiled_kernels() == known
     evidence = pickle.loads(pickle.dumps(model.evidence(scan, poses)))
     assert (model.log_weights(evidence) == model.log_likelihood(scan, poses)).all()
 

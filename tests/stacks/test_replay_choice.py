@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -110,7 +111,10 @@ def test_values_that_nothing_beats_are_kept(office, stretches):
     assert choice.chosen is choice.finalist is choice.before
     assert choice.chosen.filter.motion == own.motion
     assert choice.error.difference == 0.0
-    assert replay_verdict(choice).startswith("Keep the values you have: replayed in nav2's own filter")
+    assert replay_verdict(choice).startswith("Keep nav2's defaults: replayed in nav2's own filter")
+    of_a_file = replace(choice.before, filter=replace(own, path=Path("nav2.yaml")))
+    theirs = replace(choice, before=of_a_file, finalist=of_a_file)
+    assert replay_verdict(theirs).startswith("Keep the values you have: replayed in nav2's own filter")
     assert "none of 4 settings did better" in replay_verdict(choice)
 
 
@@ -198,7 +202,7 @@ def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):
 def test_where_only_the_map_is_corrected_the_verdict_says_so(repaired):
     moved = replace(repaired.finalist, sensor="before", motion="before", shift=-0.025)
     said = replay_verdict(replace(repaired, finalist=moved))
-    assert said.startswith("Use the corrected map with the values you have: replayed")
+    assert said.startswith("Use the corrected map with nav2's defaults: replayed")
 
 
 def test_of_a_stretch_only_what_follows_the_lead_in_is_judged(drive):

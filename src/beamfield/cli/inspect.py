@@ -58,8 +58,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
     text = f"{facts['source']}: {_text(facts)}"
     if arguments.out is not None:
         return Outcome(f"wrote {arguments.out}", text, facts, wrote=[arguments.out])
-    picture = f"{Path(facts['source'].removesuffix('.gz')).stem}.png"
-    hint = f"to see it, add --out {shlex.quote(picture)}"
+    source = facts["source"]
+    # What follows the last point of a folder's name is no ending.
+    stem = source if arguments.log.is_dir() else Path(source.removesuffix(".gz")).stem
+    hint = f"to see it, add --out {shlex.quote(f'{stem}.png')}"
     return Outcome(hint, text, facts, brief=text.splitlines()[0])
 
 

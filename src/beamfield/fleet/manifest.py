@@ -19,7 +19,8 @@ from beamfield.io.files.yaml_file import read_yaml, shorten
 from beamfield.io.logs.text_scans import LonePoses
 
 REQUIRED = ("log", "map", "robot", "site")
-OPTIONAL = ("poses", "start", "sensor", "lone-poses")
+OPTIONAL = ("poses", "start", "sensor", "mount", "lone-poses")
+X_Y_DEGREES = ("start", "mount")
 NAMES = ("manifest.yaml", "manifest.yml", "manifest.csv")
 MAX_YAML_BYTES = 10_000_000
 LONGEST_NAME = 100
@@ -42,6 +43,8 @@ class ManifestRow:
         Where the log begins in the map, for poses that are to be fitted: metres, metres, degrees; None: searched.
     sensor
         The log's sensor; "" for the only one.
+    mount
+        The sensor's pose on the robot, for a bag that does not say: metres, metres, degrees; None: as the log says.
     lone_poses
         What the poses are in a text log that has one per scan, see `read_log`.
     manifest, line
@@ -57,6 +60,7 @@ class ManifestRow:
     poses: str = ""
     start: tuple[float, float, float] | None = None
     sensor: str = ""
+    mount: tuple[float, float, float] | None = None
     lone_poses: LonePoses = "reference"
     manifest: str = ""
     line: int = 0
@@ -80,14 +84,15 @@ def read_manifest(path: str | os.PathLike[str], options: Mapping[str, Any] | Non
     """Read which logs a fleet has; rows are in their order, of a folder by name.
 
     - A ``.yaml`` file whose key ``runs`` holds a list, or a ``.csv`` file with a header, here or at an fsspec address.
-      A row has a log, its map, the names of robot and site and, if need be, poses (a file for ``--poses``), start (x, y
-      and degrees), sensor and lone-poses. Addresses are relative to the manifest, or whole fsspec addresses.
+      A row has a log, its map, the names of robot and site and, if need be, poses (a file for ``--poses``), start and
+      mount (x, y and degrees), sensor and lone-poses. Addresses are relative to the manifest, or
+      whole fsspec addresses.
     - A folder with a ``manifest.yaml`` or ``manifest.csv``.
     - A folder of logs, ``SITE/ROBOT/LOG``, with one map per site, ``SITE/map.yaml``, and poses, where there are any,
       beside their log under its name as ``.tum`` or ``.csv``.
 
     FormatError names file and line if a column or key is unknown (with the one that was probably meant), a value is
-    missing or is no text, a start is not three numbers, a log is there twice, or there is no row.
+    missing or is no text, a start or mount is not three numbers, a log is there twice, or there is no row.
     """
     if is_address(str(path)):
         return _rows_at(str(path), options or {})
@@ -157,8 +162,7 @@ def _rows_of_csv(path: Path) -> list[ManifestRow]:
         if len(words) != len(names):
             raise FormatError(path, f"expected {len(names)} fields, as in the header, got {len(words)}", line=line)
         values: dict[str, Any] = {name: word for name, word in zip(names, words, strict=True) if word}
-        if "start" in values:
-            values["start"] = values["start"].split()
+        values |= {name: values[name].split() for name in X_Y_DEGREES if name in values}
         rows.append(_row(path, line, values))
     return rows
 
@@ -201,7 +205,7 @@ def _row(path: Path, line: int, values: Mapping[str, Any]) -> ManifestRow:
         if name not in values:
             raise FormatError(path, "expected a value, got none", line=line, field=name)
     for name, value in values.items():
-        if name != "start" and not (isinstance(value, str) and value):
+        if name not in X_Y_DEGREES and not (isinstance(value, str) and value):
             quoted = "" if isinstance(value, str | list | dict) else ": put it in quotes"
             raise FormatError(path, f"expected text, got {shorten(value)}{quoted}", line=line, field=name)
     rule = values.get("lone-poses", "reference")
@@ -216,22 +220,19 @@ def _row(path: Path, line: int, values: Mapping[str, Any]) -> ManifestRow:
                 field=name,
             )  # fmt: skip
     given = {name.replace("-", "_"): value for name, value in values.items()}
-    if "start" in given:
-        given["start"] = _start(path, line, given["start"])
-        if "poses" in given:
-            raise FormatError(path, "is for a log without poses, and poses are given", line=line, field="start")
+    given |= {name: _pose(path, line, name, given[name]) for name in X_Y_DEGREES if name in given}
+    if "start" in given and "poses" in given:
+        raise FormatError(path, "is for a log without poses, and poses are given", line=line, field="start")
     return ManifestRow(**given, manifest=str(path), line=line, folder=os.path.abspath(path.parent))  # noqa: PTH100
 
 
-def _start(path: Path, line: int, value: Any) -> tuple[float, float, float]:
+def _pose(path: Path, line: int, name: str, value: Any) -> tuple[float, float, float]:
     try:
         x, y, degrees = (float(number) for number in value if not isinstance(number, bool))
     except (TypeError, ValueError, OverflowError):
         x = y = degrees = math.nan
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(degrees)):
-        raise FormatError(
-            path, f"expected three numbers, x y degrees, got {shorten(value)}", line=line, field="start"
-        )  # fmt: skip
+        raise FormatError(path, f"expected three numbers, x y degrees, got {shorten(value)}", line=line, field=name)
     return x, y, degrees
 
 

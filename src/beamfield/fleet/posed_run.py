@@ -18,7 +18,7 @@ from beamfield.fleet.manifest import ManifestRow
 from beamfield.fleet.pose_trust import doubts_in, lost_finding, partly_disagrees, pose_warnings, warnings_in
 from beamfield.fleet.run_record import OdometryErrors
 from beamfield.fleet.scan_job import RunFiles
-from beamfield.geometry import FloatArray
+from beamfield.geometry import FloatArray, Pose
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
@@ -57,6 +57,8 @@ class PosedRun:
         Warnings about the poses and the odometry.
     doubt
         Why the poses cannot be trusted, and the beams not be used; "" if they can.
+    notes
+        How the log was read.
     """
 
     grid: OccupancyGrid
@@ -69,6 +71,7 @@ class PosedRun:
     days: NDArray[np.int64]
     findings: tuple[Finding, ...] = ()
     doubt: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def read_run(row: ManifestRow, files: RunFiles) -> PosedRun:
@@ -79,7 +82,8 @@ def read_run(row: ManifestRow, files: RunFiles) -> PosedRun:
     grid = read_map(files.map)
     if not grid.occupied.any():
         raise FormatError(files.map, "the map has no occupied cell: no ray has an expected range")
-    scans = read_log(files.log, sensor_topic=row.sensor or None, lone_poses=row.lone_poses)
+    mount = None if row.mount is None else _in_radians(row.mount)
+    scans = read_log(files.log, sensor_topic=row.sensor or None, mount=mount, lone_poses=row.lone_poses)
     source: PoseSource = "log"
     if files.poses is not None:
         try:
@@ -92,7 +96,7 @@ def read_run(row: ManifestRow, files: RunFiles) -> PosedRun:
         raise FormatError(files.log, "stamps are in no year from 1970 to 9999: seconds since 1970 are expected")
     if not log.has_poses:
         _require_fittable(log, files)
-        return _fitted_run(log, grid, row, days)
+        return replace(_fitted_run(log, grid, row, days), notes=scans.notes)
     if row.start is not None:
         raise FormatError(row.manifest, "is for a log without poses, and this one has them", line=row.line or None,
                           field="start")  # fmt: skip
@@ -100,8 +104,10 @@ def read_run(row: ManifestRow, files: RunFiles) -> PosedRun:
     findings = pose_warnings(log, grid, selection)
     run = PosedRun(grid, log, (_all_beams(log),), None, source, 1.0, selection, days, findings)
     if doubts_in(findings):
-        return _repaired(run, row)
-    return _repaired_in_part(run, row) if partly_disagrees(findings) and source == "log" else run
+        run = _repaired(run, row)
+    elif partly_disagrees(findings) and source == "log":
+        run = _repaired_in_part(run, row)
+    return replace(run, notes=scans.notes)
 
 
 def odometry_errors(run: PosedRun) -> tuple[OdometryErrors | None, str]:
@@ -114,6 +120,11 @@ def odometry_errors(run: PosedRun) -> tuple[OdometryErrors | None, str]:
         return None, "too few blocks of the drive for an interval"
     values = tuple(estimate.value for estimate in found.errors.values())
     return OdometryErrors(tuple(found.errors), values, tuple(map(tuple, found.covariance.tolist()))), ""
+
+
+def _in_radians(pose: Pose) -> Pose:
+    x, y, degrees = pose
+    return x, y, math.radians(degrees)
 
 
 def _all_beams(log: SensorLog) -> PosedBeams:
@@ -134,10 +145,7 @@ def _fitted_run(log: SensorLog, grid: OccupancyGrid, row: ManifestRow, days: NDA
 
     The covariances are those of one half's poses; those of the other are much alike.
     """
-    start = None
-    if row.start is not None:
-        x, y, degrees = row.start
-        start = (x, y, math.radians(degrees))
+    start = None if row.start is None else _in_radians(row.start)
     fitted = cross_fit_poses(log, grid, start=start)
     if fitted.swapped is None:
         parts: tuple[PosedBeams, ...] = (_all_beams(fitted.judged),)

@@ -98,7 +98,7 @@ def report_as_dict(report: FleetReport) -> dict[str, Any]:
             for one in report.stale_maps
         ],
         "runs": [
-            {"run": one.run, "robot": one.robot, "site": one.site, "status": one.status, "reason": one.reason}
+            {name: plain(getattr(one, name)) for name in ("run", "robot", "site", "status", "reason", "notes")}
             for one in report.records
         ],
     }  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
@@ -11,6 +12,7 @@ from beamfield.fleet.fleet_report import FleetReport
 from beamfield.fleet.hierarchy import Pooled
 from beamfield.fleet.report_figures import drift_figure, parameter_figure, stale_figure
 from beamfield.fleet.robot_state import Light, RobotState
+from beamfield.fleet.run_record import RunRecord
 from beamfield.report.escape import escaped
 from beamfield.report.page import document, figure, finding_list, table, verdict_box
 from beamfield.report.page_section import Level
@@ -203,6 +205,22 @@ def _differences(report: FleetReport) -> str:
 
 
 def _runs(report: FleetReport) -> str:
+    notes = _notes(report.records)
+    read = f"<p>How logs were read:</p>\n{table(('note', 'in run', 'and others'), notes, right=(2,))}" if notes else ""
+    return f"{_left_out(report)}\n{read}"
+
+
+def _notes(records: Iterable[RunRecord]) -> list[tuple[str, str, int]]:
+    """Return the notes of all logs, those once that differ in their numbers alone: a run, and how many more."""
+    alike: dict[str, dict[str, str]] = {}
+    for record in records:
+        for note in record.notes:
+            alike.setdefault(re.sub(r"[0-9.]+", "", note), {}).setdefault(record.run, note)
+    rows = ((next(iter(runs.items())), len(runs) - 1) for runs in alike.values())
+    return [(note, run, others) for (run, note), others in rows]
+
+
+def _left_out(report: FleetReport) -> str:
     left_out = [record for record in report.records if not record.is_used]
     warned = finding_list(report.findings) if report.findings else ""
     if not left_out:

@@ -151,6 +151,8 @@ class RunRecord:
         Readings of the scans used that are in no file, by reason.
     findings
         Warnings about its poses and its odometry.
+    notes
+        How its log was read.
     """
 
     run: str
@@ -178,6 +180,7 @@ class RunRecord:
     selection: Mapping[str, int] = field(default_factory=dict)
     left_out: Mapping[str, int] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
@@ -191,6 +194,7 @@ class RunRecord:
             check_fields(finding)
             numbers = all(type(value) is float and np.isfinite(value) for value in finding.values.values())
             require(numbers, "findings", "finite numbers as values", finding.values)
+        require(all(isinstance(note, str) for note in self.notes), "notes", "texts", self.notes)
         require(self.is_used == bool(self.sensor), "sensor", "one of runs that are used", self.sensor)
         if self.is_used:
             _ = self.finder
@@ -241,6 +245,7 @@ def record_from_json(content: bytes, path: str, sensors: dict[str, Mapping[str, 
             covariance = tuple(tuple(row) for row in given["covariance"])
             values["odometry"] = OdometryErrors(tuple(given["names"]), tuple(given["values"]), covariance)
         values["findings"] = tuple(Finding(**one) for one in values["findings"])
+        values["notes"] = tuple(values.get("notes", ()))
         return RunRecord(**values)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise FormatError(path, f"expected the record of a run, got something else: {error}") from error

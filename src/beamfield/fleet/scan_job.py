@@ -106,7 +106,9 @@ def content_of(job: ScanJob) -> RunContent:
             parts = (SCHEMA, log_hash, file_hash(files.map), picture, poses)
     except (BeamfieldError, OSError) as error:
         return RunContent("", log_hash, reason_of(error, job))
-    named = (*parts, row.robot, row.site, row.start, row.sensor, row.lone_poses)
+    # A mount counts only where one is given, so that catalogues from before there were any hold.
+    mount = () if row.mount is None else (row.mount,)
+    named = (*parts, row.robot, row.site, row.start, row.sensor, row.lone_poses, *mount)
     return RunContent(hashlib.sha256(repr(named).encode()).hexdigest(), log_hash, "")
 
 

@@ -53,7 +53,7 @@ def scan_run(job: ScanJob) -> RunRecord:
             reason = reason_of(error, job, files) or "too little memory"
             return write_record(job, replace(left_out(job, reason), key=key))
         if run.doubt:
-            return write_record(job, replace(left_out(job, run.doubt), findings=run.findings))
+            return write_record(job, replace(left_out(job, run.doubt), findings=run.findings, notes=run.notes))
         return write_record(job, _cast(job, run))
 
 
@@ -128,6 +128,7 @@ def _cast(job: ScanJob, run: PosedRun) -> RunRecord:
         selection={"used": len(used), **run.selection.dropped},
         left_out=rows.left_out,
         findings=run.findings,
+        notes=run.notes,
     )
 
 

@@ -205,7 +205,7 @@ class ParticleFilter(Generic[Z]):
             If the cloud is not finite (n, 3), or the weights do not fit.
         """
         given = None if weights is None else as_floats(weights, "weights")
-        self._belief = Particles(as_poses(poses), given)  # type: ignore[arg-type]
+        self._belief = Particles(as_poses(poses), given)
         self._coarse = coarse
         self._odometry = ContinuousOdometry()
         self._used: Pose | None = None

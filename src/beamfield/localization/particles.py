@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import as_count, check_fields, checked, require
 from beamfield.errors import InvalidInputError
@@ -63,6 +63,10 @@ class Particles:
 
     poses: FloatArray
     weights: FloatArray = None  # type: ignore[assignment]  # always there once constructed
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(self, poses: ArrayLike, weights: ArrayLike | None = None) -> None: ...
 
     __repr__ = short_repr
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,10 @@ class PoseBelief:
 
     mean: FloatArray
     covariance: FloatArray
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(self, mean: ArrayLike, covariance: ArrayLike) -> None: ...
 
     __repr__ = short_repr
 

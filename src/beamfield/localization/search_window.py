@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, keep, require
 from beamfield.errors import InvalidInputError
@@ -52,6 +52,12 @@ class SearchWindow:
     width: float = 20.0
     height: float = 20.0
     turn: float = 2.0 * np.pi
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self, center: ArrayLike, width: float = 20.0, height: float = 20.0, turn: float = 2.0 * np.pi
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked, keep
+from beamfield.arguments import check_fields, checked, keep, restore
 from beamfield.geometry import FloatArray, as_poses, compose, pose_rows, transform_points
 from beamfield.kernels import cone as kernels
 from beamfield.kernels.threads import run_in_blocks
@@ -78,6 +78,7 @@ class ConeCaster:
     _bands: kernels.Bits = field(init=False, repr=False)
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -190,11 +191,6 @@ class ConeCaster:
         """
         finder = RangeFinder(np.zeros((1, 3)), max_range, opening_angle=opening_angle)
         return np.asarray(self.expected_ranges(as_poses(origins, "origins"), finder)[..., 0])
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        # Arrays come back writeable, which would also be another type to the compiler.
-        self.__dict__.update(state)
-        self._bits.flags.writeable = self._bands.flags.writeable = False
 
 
 @checked

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_fields, checked, keep, require
+from beamfield.arguments import check_fields, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.kernels.distance import MAX_SIDE_CELLS, fill_heights, fill_metres
 from beamfield.kernels.threads import run_in_blocks
@@ -141,6 +141,7 @@ class DistanceField:
     max_distance: float = math.inf
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

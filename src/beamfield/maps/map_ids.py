@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import restore
 from beamfield.detections import as_ids
 from beamfield.errors import InvalidInputError
 
@@ -15,6 +16,8 @@ class MapWithIds:
     """Looks up features by their id; base of the maps that have ids."""
 
     ids: NDArray[np.int64]
+
+    __setstate__ = restore
 
     def indices_of(self, ids: ArrayLike) -> NDArray[np.int64]:
         """Return the index in [0, n) of the feature with each id; InvalidInputError names one that there is not."""
@@ -28,7 +31,9 @@ class MapWithIds:
     @cached_property
     def by_id(self) -> NDArray[np.int64]:
         """(n,) the indices that sort the ids."""
-        return np.argsort(self.ids)
+        order = np.argsort(self.ids)
+        order.flags.writeable = False  # as `restore` makes it
+        return order
 
 
 def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, check_fields, check_magnitude, checked, keep, require
+from beamfield.argument_kinds import expect
+from beamfield.arguments import as_floats, check_fields, check_magnitude, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, invert, transform_points
 from beamfield.short_repr import short_repr
@@ -71,6 +72,7 @@ class OccupancyGrid:
         ) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -120,8 +122,8 @@ class OccupancyGrid:
         >>> OccupancyGrid.from_ros([[0, -1, 100]], resolution=0.05).probability.tolist()
         [[0.0, nan, 1.0]]
         """
+        expect("data", data, ArrayLike)
         values = np.asarray(data)
-        require(values.dtype.kind in "biuf", "data", "numbers", values.dtype)
         if values.ndim == 2 and values.size and (values.min() < -1 or values.max() > 100):
             bad = values[(values < -1) | (values > 100)][0]
             raise InvalidInputError(f"data: expected -1 or 0 to 100, got {bad}")

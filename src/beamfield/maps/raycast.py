@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked, keep, require
+from beamfield.arguments import check_fields, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, pose_rows
 from beamfield.kernels import raycast as kernels
@@ -294,9 +294,7 @@ class RayCaster:
         return {name: value for name, value in self.__dict__.items() if name != "_on_device"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Arrays come back writeable, which would also be another type to the compiler.
-        self.__dict__.update(state)
-        self._rectangles.flags.writeable = False
+        restore(self, state)
         require_device(self.device)
         self._upload()
 

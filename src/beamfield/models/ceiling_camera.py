@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -85,6 +86,17 @@ class CeilingCamera:
     mount: FloatArray | tuple[float, float, float] = (0.0, 0.0, 0.0)
     principal_point: FloatArray | tuple[float, float] = (0.0, 0.0)
     image_size: FloatArray | tuple[float, float] | None = None
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            focal_length: float,
+            height: float,
+            mount: ArrayLike = (0.0, 0.0, 0.0),
+            principal_point: ArrayLike = (0.0, 0.0),
+            image_size: ArrayLike | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         check_fields(self)

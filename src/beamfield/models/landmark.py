@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.kernels import landmark as kernels
 from beamfield.maps.landmarks import LandmarkMap
-from beamfield.models.correspondence import CorrespondenceModel, Given, Tables
+from beamfield.models.correspondence import Correspondence, CorrespondenceModel, Given, Tables
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.landmark_signatures import (
     LOG_2PI,
@@ -91,6 +91,17 @@ class LandmarkModel(CorrespondenceModel[Detections]):
     parameters: LandmarkParameters
     feature_name: ClassVar[str] = "feature"
     _kernels: ClassVar[ModuleType] = kernels
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            landmarks: LandmarkMap,
+            parameters: LandmarkParameters,
+            *,
+            correspondence: Correspondence,
+            mount: ArrayLike = ...,
+        ) -> None: ...
 
     __repr__ = short_repr
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from beamfield.arguments import LARGEST, check_fields, check_magnitude, keep, require
 from beamfield.errors import InvalidInputError
@@ -71,6 +72,22 @@ class LandmarkParameters:
     range_bias: float = 0.0
     bearing_bias: float = 0.0
     range_scale: float = 1.0
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            sigma_range: float | None,
+            sigma_bearing: float | None,
+            sigma_signature: float | None = None,
+            signature_covariance: ArrayLike | None = None,
+            confusion: ArrayLike | None = None,
+            spurious_rate: float = 0.0,
+            max_range: float | None = None,
+            range_bias: float = 0.0,
+            bearing_bias: float = 0.0,
+            range_scale: float = 1.0,
+        ) -> None: ...
 
     __repr__ = short_repr
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import ModuleType
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.kernels import line as kernels
 from beamfield.maps.lines import LineMap, normal_form
-from beamfield.models.correspondence import CorrespondenceModel, Given, Tables
+from beamfield.models.correspondence import Correspondence, CorrespondenceModel, Given, Tables
 from beamfield.models.landmark_signatures import LOG_2PI
 from beamfield.models.line_detections import LineDetections
 from beamfield.models.wrapped_normal import sample_wrapped
@@ -131,6 +131,18 @@ class LineModel(CorrespondenceModel[LineDetections]):
     min_overlap: float | None = field(default=None, kw_only=True)
     feature_name: ClassVar[str] = "line"
     _kernels: ClassVar[ModuleType] = kernels
+
+    if TYPE_CHECKING:  # lists will do, and arrays of any numbers
+
+        def __init__(
+            self,
+            lines: LineMap,
+            parameters: LineParameters,
+            *,
+            correspondence: Correspondence,
+            mount: ArrayLike = ...,
+            min_overlap: float | None = None,
+        ) -> None: ...
 
     __repr__ = short_repr
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, keep, require
+from beamfield.arguments import check_fields, keep, require, restore
 from beamfield.detections import UNKNOWN, as_ids, finite_copy
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -90,6 +90,7 @@ class LineDetections:
         ) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

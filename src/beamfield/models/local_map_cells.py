@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_fields, keep, require
+from beamfield.arguments import check_fields, keep, require, restore
 from beamfield.geometry import FloatArray
 from beamfield.kernels import correlation as kernels
 from beamfield.kernels.threads import run_in_blocks
@@ -45,6 +45,7 @@ class LocalMapModel:
     _table: NDArray[Any] = field(init=False, repr=False)
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -50,19 +50,20 @@ def replay_verdict(choice: ReplayChoice) -> str:
     )
     inside = f"truth in the particles' 95% ellipse {_inside(before):.0%} -> {_inside(after):.0%}"
     lost = f"lost runs {_lost(before)} -> {_lost(after)}"
+    own = f"{choice.before.filter.stack}'s defaults" if choice.before.filter.path is None else "the values you have"
     if choice.is_better:
         only_map = choice.chosen.sensor == choice.chosen.motion == choice.chosen.recovery == BEFORE
-        use = "Use the corrected map with the values you have" if only_map else "Use the new values"
+        use = f"Use the corrected map with {own}" if only_map else "Use the new values"
         return (
             f"{use}: {where}, the position error is {choice.error.before:.3f} m before and "
             f"{choice.error.after:.3f} m after ({_told(choice.error)}), {lost}, {inside}."
         )
     if choice.finalist is choice.before:
-        return f"Keep the values you have: {where}, none of {choice.n_settings} settings did better."
+        return f"Keep {own}: {where}, none of {choice.n_settings} settings did better."
     return (
-        f"Keep the values you have: {where}, the best of {choice.n_settings} settings ({describe(choice.finalist)}) is "
-        f"not better for sure: position error {choice.error.before:.3f} -> {choice.error.after:.3f} m "
-        f"({_told(choice.error)}), {lost}, {inside}."
+        f"Keep {own}: {where}, the best of {choice.n_settings} settings ({describe(choice.finalist)}) is not better "
+        f"for sure: position error {choice.error.before:.3f} -> {choice.error.after:.3f} m ({_told(choice.error)}), "
+        f"{lost}, {inside}."
     )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import LARGEST, as_floats, check_fields, checked, keep, require
+from beamfield.arguments import LARGEST, as_floats, check_fields, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.indices import as_indices
@@ -71,12 +71,15 @@ class RangeFinder:
         ) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)
         mounts = np.array(as_poses(self.mounts, "mounts"))
         require(mounts.ndim == 2, "mounts", "shape (k, 3)", mounts.shape)
-        keep(self, mounts=mounts)
+        # Whole numbers would be another type to the compiler.
+        limits = {name: float(getattr(self, name)) for name in ("max_range", "min_range", "opening_angle")}
+        keep(self, mounts=mounts, **limits)
         if not (0.0 <= self.min_range <= self.max_range - SHORTEST_SPAN and self.max_range <= LARGEST):
             raise InvalidInputError(
                 f"range limits: expected 0 <= min_range < max_range <= {LARGEST:g}, {SHORTEST_SPAN:g} m or more apart, "

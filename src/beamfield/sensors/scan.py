@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import as_floats, check_fields, checked, keep, require
+from beamfield.arguments import as_floats, check_fields, checked, keep, require, restore
 from beamfield.geometry import FloatArray
 from beamfield.indices import as_indices
 from beamfield.sensors.range_finder import RangeFinder
@@ -51,6 +51,7 @@ class Scan:
         def __init__(self, ranges: ArrayLike, finder: RangeFinder, stamp: float = 0.0) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, check_fields, checked, keep, require
+from beamfield.arguments import as_floats, check_fields, checked, keep, require, restore
 from beamfield.errors import NoSuchIndexError
 from beamfield.geometry import FloatArray
 from beamfield.indices import subset_of
@@ -98,6 +98,7 @@ class SensorLog:
         ) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -184,7 +185,7 @@ class SensorLog:
         InvalidInputError
             If the shape is not (t, 3).
         """
-        return replace(self, poses=np.asarray(poses, dtype=np.float64))
+        return replace(self, poses=as_floats(poses, "poses"))
 
     @property
     def has_poses(self) -> bool:

@@ -158,8 +158,8 @@ def block_intervals(
     _, blocks = np.unique(time_blocks(times, block_s)[used], return_inverse=True)
     z, expected = z[used], expected[used]
     problem = learning_problem(
-        float(max_range),
-        min_range=float(min_range),
+        max_range,
+        min_range=min_range,
         hold=hold,
         priors=priors,
         fit_offset=fit_offset,

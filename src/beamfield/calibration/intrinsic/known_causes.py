@@ -91,7 +91,7 @@ def learn_from_known_causes(
     if counts[W_HIT] == 0.0:
         raise TooLittleDataError(f"0 hits among {z.size} beams: sigma_hit is not defined")
 
-    problem = learning_problem(float(max_range), min_range=float(min_range))
+    problem = learning_problem(max_range, min_range=min_range)
     z, expected = counted_from(min_range, z, max_range), expected_from(min_range, expected)
     theta = _closed_form(z, expected, numbers, counts, problem)
     if not closed_form:

@@ -95,6 +95,7 @@ def learning_problem(
     impossible or held weights leave nothing to share.
     """
     check_limits(max_range, min_range)
+    max_range, min_range = float(max_range), float(min_range)  # others would be other types to the compiler
     hold = dict(hold or {})
     for name, value in hold.items():
         if name not in _POSITIONS:

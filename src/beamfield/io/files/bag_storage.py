@@ -10,7 +10,8 @@ BAG_SUFFIXES = tuple(_MAGIC)
 _REPAIRS = {
     ".bag": "rosbag reindex {file}",
     ".mcap": "mcap recover {file} -o repaired.mcap",
-    ".db3": "sqlite3 {file} .recover | sqlite3 repaired.db3",
+    # Not .recover: Debian's sqlite3 is built without what it needs, and nothing would be in the file.
+    ".db3": "sqlite3 {file} .dump | sed '/^ROLLBACK/s/.*/COMMIT;/' | sqlite3 repaired.db3",
 }
 
 

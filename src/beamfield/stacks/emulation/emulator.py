@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
@@ -124,6 +125,8 @@ class StackModel(ABC, Generic[P, E]):
 
     grid: OccupancyGrid
     parameters: P
+
+    __setstate__ = restore
 
     @staticmethod
     def beam_rule(n_beams: int, max_beams: int) -> Indices | None:  # noqa: ARG004

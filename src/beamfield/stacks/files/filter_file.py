@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any, cast
 
 from beamfield.errors import FormatError
@@ -26,6 +27,8 @@ class FilterSettings:
         The program, and its measurement model.
     sensor, motion, particles
         Parameters of the measurement model, of the motion model, and of the filter, under the program's names.
+    path
+        The file; None for the program's defaults.
     """
 
     stack: str
@@ -33,6 +36,7 @@ class FilterSettings:
     sensor: Any
     motion: Any
     particles: Any
+    path: Path | None = field(default=None, kw_only=True)
 
     @property
     def update_distances(self) -> tuple[float, float]:
@@ -88,4 +92,4 @@ def read_filter_settings(file: StackFile) -> FilterSettings:
         raise FormatError(file.section.path, message)
     sensor, whole = checked_values(file), file.of_filter
     motion, particles = (checked_fields(whole, kind) for kind in (described.motion, described.parameters))
-    return FilterSettings(file.stack, file.model, sensor, motion, particles)
+    return FilterSettings(file.stack, file.model, sensor, motion, particles, path=file.section.path)

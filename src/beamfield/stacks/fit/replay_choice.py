@@ -21,7 +21,7 @@ from beamfield.stacks.fit.kept_runs import KeptRuns
 from beamfield.stacks.fit.motion_candidates import BEFORE, MotionCandidates
 from beamfield.stacks.fit.replay_runs import Key, Progress, Replays, ReplaySetting
 from beamfield.stacks.fit.replay_segments import USUAL_DISTANCES
-from beamfield.stacks.registry import model_named
+from beamfield.stacks.registry import STACKS, model_named
 
 # A run that is farther off counts as so far, metres: lost runs count, but not how far they went.
 FARTHEST = 1.0
@@ -32,8 +32,8 @@ NEAREST = 0.001
 FIRST_SEEDS, KEPT, LAST = 2, 6, 3
 OFF = "off"
 OWN = Key(BEFORE, BEFORE, 0.0, BEFORE)
-# What the user has stays unless other values are better for sure; a map's origin that is right needs no such proof.
-PROVEN = ("recovery", "motion", "sensor")
+# In this order the user's values come back if others are not better for sure, but for what `_known` returns.
+PARTS = ("recovery", "motion", "sensor")
 # Motion noise of 0 is compared as this.
 LEAST_NOISE = 1e-6
 # An error counts this many times more than it is, per share of the updates that the particles' 95% ellipse lacks of
@@ -103,8 +103,8 @@ class ReplayChoice:
         The best over all stretches; the same if that was the user's.
     is_better
         Whether the finalist won: its cost is surely lower, and its error lower or its coverage higher for sure; neither
-        the error nor the share of lost runs is surely higher. It has the user's recovery, motion noise or sensor where
-        neither cost nor error is surely lower with others, and the rest wins without.
+        the error nor the share of lost runs is surely higher. It has the user's motion noise or sensor where neither
+        cost nor error is surely lower with others, and the rest wins without.
     trials_before, trials_finalist
         Runs on each stretch, paired: of the user's setting, and of the one that the other stretches choose, mostly the
         finalist. No stretch judges what it has chosen.
@@ -157,12 +157,13 @@ def choose_by_replay(
     """Choose sensor parameters, motion noise, the map's origin and recovery by replaying the stack's filter.
 
     All combinations of sensor and motion race with few seeds, and then the best with more; all motion noises are
-    compared with the best sensor's values. They race with the map's origin set right, where that is possible: that the
-    program reads its map half a cell off is known, and only a surely greater error speaks against it. And they race
-    without poses drawn at random, which hide what is good. Of what is left the stretches of the log choose together,
-    and keep the user's recovery, motion noise or sensor if other values are not surely better. They judge crosswise: on
-    each one the setting that the others choose runs against the user's. A few stretches disagree too much for half of
-    them to choose and half to judge. If the choice is not better for sure, it is made once more without its sensor.
+    compared with the best sensor's values. They race with the map's origin set right, where that is possible, and
+    without poses drawn at random: that the program reads its map half a cell off is known, and so is that weights of
+    products do not tell a lost robot; only a surely greater error speaks against it. Of what is left the stretches of
+    the log choose together, and keep the user's motion noise or sensor, and random poses in sums, if other values are
+    not surely better. They judge crosswise: on each one the setting that the others choose runs against the user's. A
+    few stretches disagree too much for half of them to choose and half to judge. If the choice is not better for sure,
+    it is made once more without its sensor.
 
     Parameters
     ----------
@@ -207,19 +208,22 @@ def choose_by_replay(
 
     def choose(asked: Sequence[int]) -> ReplaySetting:
         best = _of_equals(last, by_stretch[:, asked].mean(axis=1), safe)
-        for part in PROVEN:
+        for part in PARTS:
             plain = settings[best.key._replace(**{part: getattr(OWN, part)})]
-            if plain is not best and not _is_surely_cheaper(best, plain, replays, asked):
+            if part not in _known(best) and plain is not best and not _is_surely_cheaper(best, plain, replays, asked):
                 best = plain
         return best
 
     everywhere = range(len(stretches))
-    best = choose(everywhere)
-    finalist = _with_origin_or_without(best, settings[best.key._replace(origin=0.0)], replays)
+    best = finalist = choose(everywhere)
+    for part in _known(best):
+        plain = settings[finalist.key._replace(**{part: getattr(OWN, part)})]
+        finalist = _unless_surely_worse(finalist, plain, replays)
     crossed = [own] * len(stretches)
     if finalist is not own:
+        known = {part: getattr(finalist.key, part) for part in _known(best)}
         choices = [choose([other for other in everywhere if other != i]) for i in everywhere]
-        crossed = [one if one is own else settings[one.key._replace(origin=finalist.shift)] for one in choices]
+        crossed = [one if one is own else settings[one.key._replace(**known)] for one in choices]
     n_settings = len(raced) + (best.shift > 0.0)
 
     def judge(finalist: ReplaySetting, crossed: Sequence[ReplaySetting]) -> ReplayChoice:
@@ -246,9 +250,9 @@ def choose_by_replay(
         )
 
     choice = judge(finalist, crossed)
-    for part in PROVEN:
+    for part in PARTS:
         # All stretches chose it; what the judgement does not confirm is chance.
-        if choice.is_better and not _is_confirmed(choice, part):
+        if part not in _known(best) and choice.is_better and not _is_confirmed(choice, part):
             key, *keys = (one.key._replace(**{part: getattr(OWN, part)}) for one in (choice.finalist, *crossed))
             simpler = [settings[one] for one in keys]
             rest = judge(settings[key], simpler)
@@ -335,12 +339,19 @@ def _is_surely_cheaper(one: ReplaySetting, other: ReplaySetting, replays: Replay
     return _compared(before, after, costs).is_lower
 
 
-def _with_origin_or_without(shifted: ReplaySetting, plain: ReplaySetting, replays: Replays) -> ReplaySetting:
-    """Return the setting with the map's origin set right, unless its error is surely higher."""
-    if shifted is plain:
+def _known(setting: ReplaySetting) -> list[str]:
+    """Return which parts need no proof, because it is known that the program is wrong about them."""
+    its = setting.filter
+    is_misled = STACKS[its.stack].averages_scans and model_named(its.stack, its.model).multiplies(its.sensor)
+    return ["origin", "recovery"] if is_misled else ["origin"]
+
+
+def _unless_surely_worse(corrected: ReplaySetting, plain: ReplaySetting, replays: Replays) -> ReplaySetting:
+    """Return a setting with a part set right, or as it was if its error is surely higher."""
+    if corrected is plain:
         return plain
-    trials = replays.of((shifted, plain), replays.n_seeds)
-    return plain if _compared(trials[plain.key], trials[shifted.key], clipped).is_higher else shifted
+    trials = replays.of((corrected, plain), replays.n_seeds)
+    return plain if _compared(trials[plain.key], trials[corrected.key], clipped).is_higher else corrected
 
 
 def _without_each_part(

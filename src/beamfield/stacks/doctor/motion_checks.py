@@ -137,7 +137,7 @@ def random_poses(subject: Subject) -> Iterator[Finding]:
         yield subject.finding(
             "recovery-reversed", "warning", f"{own} is {slow:g}, recovery_alpha_fast is {fast:g}",
             f"random poses, which are to find a lost robot again, are mixed in {when}, not when the weights fall",
-            "set both to 0, as such poses rarely find it; or the slow rate to a hundredth of the fast one, 0.001 and 0.1",
+            "set both to 0, as they rarely do; or the slow rate to a hundredth of the fast one, 0.001 and 0.1",
             own=own, values=values,
         )  # fmt: skip
 

@@ -8,6 +8,7 @@ have come. "Agrees": with the map, of the readings of the median scan. "Start gi
 start was given to half a metre. "Code": of `calibrate`.
 
 Run: python benchmarks/other_robots.py [SEED ...]     (12; an hour on two processors)
+     python benchmarks/other_robots.py otherwise      (one robot, half moved, with one thing otherwise; half an hour)
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from scipy import ndimage
 
 from beamfield.cli.demo import DEFAULTS
 from beamfield.cli.main import main as beamfield
+from beamfield.geometry import between, chained, wrap_angle
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_map import read_map
@@ -31,7 +33,7 @@ from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.ray_agreement import scan_agreement
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.sensors import RangeFinder, ScanLog
+from beamfield.sensors import RangeFinder, ScanLog, Track
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
@@ -39,6 +41,7 @@ from beamfield.simulation.odometry import OdometryNoise
 from beamfield.simulation.trajectory import DriveOptions
 from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
+from beamfield.stacks.registry import STACKS
 from tables import print_table
 
 SEEDS = range(10)
@@ -56,6 +59,9 @@ class Laser:
     limits: tuple[float, float]
     truth: BeamParameters
     rate: float = 5.0
+    wheels: OdometryNoise = WORN
+    slip_deg: float = 0.0
+    """By how much the odometry turns wrongly between two scans in the middle of a drive."""
 
     def drive(self, world: OccupancyGrid, seconds: float, seed: int) -> ScanLog:
         """Return a log with exact poses."""
@@ -63,10 +69,24 @@ class Laser:
         finder = RangeFinder.from_bearings(
             np.radians(np.linspace(first, last, n)), self.limits[1], min_range=self.limits[0], mount=(0.1, 0.0, 0.0)
         )
-        return simulate_log(
-            world, finder, self.truth, duration=seconds, scan_rate=self.rate, seed=seed, odometry_noise=WORN,
+        log = simulate_log(
+            world, finder, self.truth, duration=seconds, scan_rate=self.rate, seed=seed, odometry_noise=self.wheels,
             drive=DriveOptions(speed=0.6), dependence=Dependence(np.radians(4.0), 1.0),
         )  # fmt: skip
+        return log if self.slip_deg == 0.0 else slipped(log, np.radians(self.slip_deg))
+
+
+def slipped(log: ScanLog, turn: float) -> ScanLog:
+    """Return a log of which one step of the odometry, in the middle, turns by so much too far."""
+    sensor = log.only_sensor()
+    steps = between(sensor.odometry[:-1], sensor.odometry[1:])
+    steps[len(steps) // 2, 2] += turn
+    odometry = chained(sensor.odometry[0], steps)
+    odometry[:, 2] = wrap_angle(odometry[:, 2])
+    return replace(
+        log, sensors=dict.fromkeys(log.sensors, replace(sensor, odometry=odometry)),
+        odometry=Track(sensor.stamps, odometry),
+    )  # fmt: skip
 
 
 LASERS = {
@@ -75,6 +95,55 @@ LASERS = {
     "270 deg, 30 m": Laser((-135.0, 135.0, 541), (0.1, 30.0), BeamParameters(0.85, 0.07, 0.03, 0.05, 0.02, 0.5)),
     "86 deg, 8 m": Laser((-43.0, 43.0, 87), (0.3, 8.0), BeamParameters(0.70, 0.10, 0.10, 0.10, 0.05, 0.5)),
 }
+USUAL = LASERS["360 deg, 12 m"]
+
+
+@dataclass(frozen=True)
+class File:
+    """A user's parameter file: the program, and what stands in it."""
+
+    stack: str = "nav2"
+    text: str = DEFAULTS.replace("_prob", "")
+
+
+def ros1(model: str) -> File:
+    """Return a file that sets the model alone, of ROS 1's amcl."""
+    return File("ros1", f"amcl:\n  laser_model_type: {model}\n")
+
+
+# What is otherwise than a drive of two minutes of `USUAL` with nav2's defaults.
+OTHERWISE: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "nav2, likelihood_field_prob": {"file": File(text=DEFAULTS)},
+    "nav2, beam": {"file": File(text=DEFAULTS.replace("likelihood_field_prob", "beam"))},
+    "ROS 1 amcl": {"file": ros1("likelihood_field")},
+    "ROS 1 amcl, beam": {"file": ros1("beam")},
+    "Beluga": {"file": File("beluga")},
+    "Beluga, likelihood_field_prob": {"file": File("beluga", DEFAULTS)},
+    "MRPT": {"file": File("mrpt", "[MetricMap_occupancyGrid_00_likelihoodOpts]\nlikelihoodMethod = 4\n")},
+    "map of 0.02 m": {"resolution": 0.02},
+    "map of 0.1 m": {"resolution": 0.1},
+    "drive of 30 s": {"seconds": 30.0},
+    "drive of 45 s": {"seconds": 45.0},
+    "1 scan a second": {"laser": replace(USUAL, rate=1.0)},
+    "40 scans a second": {"laser": replace(USUAL, rate=40.0)},
+    "30 beams": {"laser": replace(USUAL, bearings=(-180.0, 168.0, 30))},
+    "laser turned by 180 degrees": {"laser": replace(USUAL, bearings=(0.0, 359.0, 360))},
+    "odometry slips by 20 degrees": {"laser": replace(USUAL, slip_deg=20.0)},
+    "wheels three times as worn": {"laser": replace(USUAL, wheels=OdometryNoise(0.06, 0.06, 0.09, 0.06, 0.09))},
+    "wheels nearly perfect": {"laser": replace(USUAL, wheels=OdometryNoise(0.001, 0.0005, 0.001, 0.0005, 0.0005))},
+}
+
+
+def otherwise() -> None:
+    """Calibrate and run one robot in a map that is half out of date, with one thing otherwise, and print the table."""
+    rows = []
+    for name, what in OTHERWISE.items():
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append({"otherwise": name} | outcome(**{"laser": USUAL} | what, changes=MAPS["half moved"],
+                                                      seed=12, folder=Path(folder)))  # fmt: skip
+        print(rows[-1], file=sys.stderr, flush=True)
+    print_table(rows)
 
 
 def main(seeds: Sequence[int]) -> None:
@@ -91,22 +160,25 @@ def main(seeds: Sequence[int]) -> None:
     print_table(rows)
 
 
-def outcome(laser: Laser, changes: tuple[float, int] | None, seed: int, folder: Path) -> dict[str, Any]:
-    """Return what nav2's filter does before and after."""
-    plan, rng = draw_floor_plan(seed=seed), np.random.default_rng(seed)
+def outcome(
+    laser: Laser, changes: tuple[float, int] | None, seed: int, folder: Path, *, seconds: float = 120.0,
+    resolution: float = 0.05, file: File = File(),
+) -> dict[str, Any]:  # fmt: skip
+    """Return what the filter does before and after."""
+    plan, rng = draw_floor_plan(seed=seed, resolution=resolution), np.random.default_rng(seed)
     world = plan if changes is None else changed(plan, *changes, rng)
     write_map(plan if changes is None else bent(plan, rng), folder / "map.yaml", mode="trinary")
-    learned, judged = (laser.drive(world, seconds, 10 * seed + i) for i, seconds in enumerate((120.0, 90.0)))
+    learned, judged = (laser.drive(world, duration, 10 * seed + i) for i, duration in enumerate((seconds, 90.0)))
     sensor = learned.only_sensor()
     hidden = replace(sensor, poses=np.full_like(sensor.poses, np.nan))
     write_carmen(folder / "log.carmen", replace(learned, sensors=dict.fromkeys(learned.sensors, hidden)))
-    before, after = folder / "before.yaml", folder / "after.yaml"
-    for file in (before, after):
-        file.write_text(DEFAULTS.replace("_prob", ""))
+    before, after = (folder / f"{when}.{STACKS[file.stack].syntax}" for when in ("before", "after"))
+    for path in (before, after):
+        path.write_text(file.text)
     x, y, theta = sensor.poses[0]
     words = [
         "calibrate", folder / "log.carmen", "--lone-poses", "odometry", "--map", folder / "map.yaml", "--max-range",
-        laser.limits[1], "--stack", "nav2", "--patch", after, "--out", folder / "out", "--quiet",
+        laser.limits[1], "--stack", file.stack, "--patch", after, "--out", folder / "out", "--quiet",
     ]  # fmt: skip
     start = ["--start", round(2.0 * x) / 2.0, round(2.0 * y) / 2.0, round(np.degrees(theta), -1)]
     code = beamfield([str(word) for word in words])
@@ -116,10 +188,10 @@ def outcome(laser: Laser, changes: tuple[float, int] | None, seed: int, folder: 
     grid, shifted = read_map(folder / "map.yaml"), folder / "out/amcl_map.yaml"
     agrees = np.nanmedian(scan_agreement(sensor, grid, sensor.poses))
     said: dict[str, Any] = {"agrees": f"{agrees:.0%}", "start given": "yes" if given else "no", "code": code}
-    for when, file in (("before", before), ("after", after)):
-        settings = read_filter_settings(read_stack_file(file, stack="nav2"))
+    for when, path in (("before", before), ("after", after)):
+        settings = read_filter_settings(read_stack_file(path, stack=file.stack))
         its = read_map(shifted) if when == "after" and shifted.exists() else grid
-        trials = run_trials(settings.filter(its), judged.only_sensor(), SEEDS)
+        trials = run_trials(settings.filter(its), settings.at_ticks(judged.only_sensor()), SEEDS)
         said |= {f"{when} [m]": f"{trials.mean('mean'):.3f}", f"lost {when}": f"{trials.n_lost} of {len(trials)}"}
     return said
 
@@ -150,4 +222,7 @@ def bent(plan: OccupancyGrid, rng: np.random.Generator) -> OccupancyGrid:
 
 
 if __name__ == "__main__":
-    main([int(word) for word in sys.argv[1:]] or [12])
+    if sys.argv[1:] == ["otherwise"]:
+        otherwise()
+    else:
+        main([int(word) for word in sys.argv[1:]] or [12])

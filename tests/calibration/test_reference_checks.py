@@ -256,6 +256,15 @@ def test_scans_tell_whether_the_reference_or_the_odometry_slides():
     assert names(pose_findings(blind, room())) == ["reference-slides"]
 
 
+def test_scans_tell_where_most_of_the_map_is_out_of_date_whether_the_odometry_slides():
+    log, slid = drive(), drive().poses.copy()
+    slid[:, 1] += np.linspace(0.0, 6.0, 300) - 3.0
+    ranges = log.ranges.copy()
+    ranges[:, :2], ranges[::25, :4] = 1.0, 1.0  # five of seven beams agree, three where windows begin and end
+    assert names(pose_findings(replace(log, ranges=ranges, odometry=slid), room())) == ["odometry-disagrees"]
+    assert names(pose_findings(replace(log, ranges=ranges, poses=slid), room()))[-1] == SLIDES
+
+
 def test_a_reference_that_was_lost_for_a_while_is_not_taken_for_wheels_that_slip():
     log = drive()
     poses, odometry = log.poses.copy(), log.odometry.copy()

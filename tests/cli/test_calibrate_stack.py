@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.pose_windows import WindowOptions
-from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack, write_patch
+from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack, next_step, write_patch
 from beamfield.cli.main import main
 from beamfield.cli.report_part import StackPart
 from beamfield.errors import TooLittleDataError
@@ -186,6 +186,15 @@ def test_a_file_that_was_patched_before_gets_no_second_backup_of_the_same(tmp_pa
     assert again == (f"left {mine} as it was", None)
     assert mine.read_text() == after
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml", "mine.yaml.bak"]
+
+
+def test_files_are_compared_on_another_drive_only_if_they_differ():
+    given = SimpleNamespace(map="map.yaml", patch="mine.yaml", out=Path("out"), section=None)
+    kept = StackPart("stack", "", {}, PageSection("stack", "", ""), {}, values={}, record="as calibrated")
+    moved = replace(kept, files={"amcl_map.yaml": ""})
+    assert next_step(given, Path("mine.yaml.bak"), kept) == ""
+    assert next_step(given, Path("mine.yaml.bak"), moved).endswith("--filter-maps map.yaml out/amcl_map.yaml")
+    assert "--filter-maps" not in next_step(given, Path("mine.yaml.bak"), replace(kept, values={"z_hit": 0.6}))
 
 
 def test_a_stack_needs_a_map(world, tmp_path, capsys):

@@ -374,6 +374,13 @@ def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_robot_
     assert instead_of_own(sensor, grid, (named("pose-in-wall"),), StageProgress(quiet=True)) is None
 
 
+def test_fitted_poses_that_slide_are_not_answered_with_the_advice_to_fit_some():
+    slides = Finding("reference-slides", "warning", "", do="Take the poses that beamfield trajectory fits to a map.")
+    (judged,) = with_map_judged((slides,), SimpleNamespace())
+    assert "Map that place anew" in judged.do
+    assert "Take the poses" not in judged.do
+
+
 def test_a_map_that_disagrees_with_poses_that_fit_the_whole_drive_is_out_of_date(world: Path):
     disagrees = Finding("map-disagrees", "warning", "", {"median_agreement": 0.4})
     fitted = SimpleNamespace(fit=fit_of(world))

@@ -130,8 +130,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if patched is not None and first.stack is not None:
         changed, backup = write_patch(patched, first.stack)
         line, brief = f"{line}\n{changed}", f"{brief.removesuffix('.')}; {changed}"
-        if backup is not None:
-            line += f"\n{next_step(arguments, backup, arguments.out / MAP_NAME if MAP_NAME in first.files else None)}"
+        if backup is not None and (step := next_step(arguments, backup, first.stack)):
+            line += f"\n{step}"
     heads = {name: f"== {printable(name)}\n" if len(results) > 1 else "" for name in results}
     # The answer comes last, where it is seen without scrolling.
     tables = [f"{heads[name]}{result.table}" for name, result in results.items()]

@@ -252,10 +252,13 @@ def write_patch(file: StackFile, fitted: StackPart) -> tuple[str, Path | None]:
     return "; ".join(text for text in said if text), backup
 
 
-def next_step(arguments: argparse.Namespace, backup: Path, shifted_map: Path | None) -> str:
-    """Return the command that compares the changed file with the old one on another drive."""
+def next_step(arguments: argparse.Namespace, backup: Path, fitted: StackPart) -> str:
+    """Return the command that compares the file with the old one on another drive; empty if they do the same."""
+    is_moved = MAP_NAME in fitted.files
+    if not (fitted.values or is_moved):
+        return ""
     words = ["--map", arguments.map, "--params", backup, arguments.patch]
-    words += ["--filter-maps", arguments.map, shifted_map] if shifted_map is not None else []
+    words += ["--filter-maps", arguments.map, arguments.out / MAP_NAME] if is_moved else []
     words += ["--section", arguments.section] if arguments.section is not None else []
     return f"next, on another drive: beamfield evaluate OTHER_LOG {shlex.join(map(str, words))}"
 

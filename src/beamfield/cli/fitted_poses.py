@@ -30,6 +30,15 @@ NAME = "fitted_poses"
 Fitted = TypeVar("Fitted", bound="FittedPoses")
 Start = tuple[float, float, float] | None
 NO_POSE = "no scan has a reference pose"
+# Why fitted poses may not move as the odometry does, and what helps.
+SLID = (
+    "The fit slides where much of the map is out of date or little is in sight, or the odometry slips: the scans do "
+    "not tell which."
+)
+INSTEAD = (
+    "Look at the path over the map there (beamfield trajectory draws it). Map that place anew, drive again where the "
+    "map is right, or give poses from elsewhere with --poses."
+)
 # What refutes a log's own poses.
 REFUTED = ("map-disagrees", "map-disagrees-in-part", "reference-slides", "reference-stands-still")
 
@@ -103,10 +112,15 @@ def instead_of_own(
 
 
 def with_map_judged(findings: tuple[Finding, ...], fitted: FittedPoses) -> tuple[Finding, ...]:
-    """Return findings at fitted poses; if these are beyond doubt, a map that disagrees is out of date."""
+    """Return findings at fitted poses: if these are beyond doubt, a map that disagrees is out of date.
+
+    Poses that do not move as the odometry does are not answered with the advice to fit some.
+    """
     from beamfield.maps.outdated_map import outdated_at_right_poses
 
     def judged(one: Finding) -> Finding:
+        if one.name in ("reference-slides", "reference-stands-still"):
+            return replace(one, why=SLID, do=INSTEAD)
         if one.name != "map-disagrees" or not fitted.fit.is_beyond_doubt:
             return one
         return outdated_at_right_poses(one.values["median_agreement"]) or one

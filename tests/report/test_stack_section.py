@@ -13,6 +13,7 @@ from beamfield.report.stack_result import StackResult
 from beamfield.report.stack_section import stack_verdict
 from beamfield.stacks.coordinates import FitSpace, log_of
 from beamfield.stacks.fit.fit import _at_edge
+from beamfield.stacks.ros1.parameters import Ros1Parameters
 
 
 def scores(coverage: float, mean: float) -> SimpleNamespace:
@@ -63,6 +64,22 @@ def test_values_that_few_places_have_judged_are_named(n, is_better, names):
     replay = SimpleNamespace(before=kept, chosen=kept, trials_before=[()] * n, is_better=is_better)
     fit = fitted()
     assert [finding.name for finding in stack_findings(StackResult((fit,), fit, replay))] == names
+
+
+@pytest.mark.parametrize(("fast", "names"), [(0.1, ["stack-recovery"]), (0.0, [])])
+def test_random_poses_of_a_recovery_are_named_where_the_model_becomes_a_product(fast, names):
+    def setting(model: str) -> SimpleNamespace:
+        particles = SimpleNamespace(recovery_alpha_fast=fast)
+        return SimpleNamespace(filter=SimpleNamespace(model=model, particles=particles), shift=0.0, sensor="fitted")
+
+    replay = SimpleNamespace(
+        before=setting("likelihood_field"), chosen=setting("likelihood_field_prob"),
+        trials_before=[()] * 8, is_better=True, parts={"sensor": SimpleNamespace(before=0.1, after=0.06)},
+    )  # fmt: skip
+    fit = fitted(model=SimpleNamespace(stack="ros1", model="likelihood_field_prob"))
+    fit.chosen.parameters = Ros1Parameters()
+    findings = stack_findings(StackResult((fit,), fit, replay))
+    assert [finding.name for finding in findings] == ["stack-other-model", *names]
 
 
 def test_the_verdict_says_what_replay_decided_and_what_stands_against_it(monkeypatch):

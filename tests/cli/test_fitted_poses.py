@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.cli.fitted_poses import instead_of_own, posed_log, with_map_judged
+from beamfield.cli.fitted_poses import fit_in_map, instead_of_own, posed_log, with_map_judged
 from beamfield.cli.main import main
 from beamfield.cli.progress import StageProgress
-from beamfield.errors import BeamfieldError, TrajectoryNotFoundError
+from beamfield.errors import BeamfieldError, FormatError, TrajectoryNotFoundError
 from beamfield.finding import Finding
 from beamfield.geometry import between, chained
 from beamfield.io.logs.carmen_writer import write_carmen
@@ -285,6 +285,16 @@ def test_doctor_goes_on_without_poses_where_none_can_be_fitted(world: Path, tmp_
     said = capsys.readouterr()
     assert "--poses FILE; tests at the scans' poses are left out" in said.err
     assert "likelihood_field_prob" in said.out
+
+
+@pytest.mark.parametrize(("start", "helps"), [(None, "helps: --start X"), ((1.0, 2.0, 0.0), "helps: another --start")])
+def test_who_gave_a_start_is_not_told_to_give_one(start, helps):
+    def refuses(*_, **__):
+        raise TrajectoryNotFoundError("no trajectory through this map fits the log")
+
+    sensor = SimpleNamespace(has_odometry=True, finder=SimpleNamespace(opening_angle=0.0))
+    with pytest.raises(FormatError, match=helps):
+        fit_in_map(refuses, sensor, None, None, None, path=Path("log.carmen"), start=start)
 
 
 def write_another_building(path: Path) -> None:

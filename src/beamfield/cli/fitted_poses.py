@@ -154,9 +154,8 @@ def fit_in_map(
     except TooLittleDataError as error:
         raise TooLittleDataError(f"{path}: {NO_POSE}, and none can be fitted: {error}") from error
     except TrajectoryNotFoundError as error:
-        raise FormatError(
-            path, f"{NO_POSE}, and none can be fitted: {error}; what helps: --start X Y DEG, or --poses FILE"
-        ) from error
+        helps = "--start X Y DEG, or --poses FILE" if start is None else "another --start, or --poses FILE"
+        raise FormatError(path, f"{NO_POSE}, and none can be fitted: {error}; what helps: {helps}") from error
 
 
 def about_its_file(error: InvalidInputError, arguments: argparse.Namespace, log: Path) -> BeamfieldError:

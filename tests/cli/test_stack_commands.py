@@ -145,11 +145,16 @@ def test_a_patch_says_which_launch_arguments_it_replaced(good, tmp_path, capsys)
     assert "note: replaced $(arg z_hit), $(arg z_rand) by values, which arguments at launch" in capsys.readouterr().err
 
 
-def test_translation_writes_a_launch_file_that_can_be_read(good, tmp_path):
+def test_translation_writes_a_launch_file_that_can_be_read(good, tmp_path, capsys):
     out = tmp_path / "amcl.launch"
     assert main(["translate", str(good), "--to", "ros1", "--out", str(out)]) == 0
     assert '<param name="laser_z_hit" value="0.947236"/>' in out.read_text()
-    assert main(["doctor", str(out), "--quiet"]) == 0
+    # The product says what ROS 1's default spoils, and nothing else is wrong.
+    assert "set recovery_alpha_slow and recovery_alpha_fast to 0" in out.read_text()
+    capsys.readouterr()
+    assert main(["doctor", str(out), "--json"]) == 1
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    assert [one["name"] for one in findings if one["severity"] != "info"] == ["recovery-in-product"]
 
 
 def test_what_cannot_be_translated_is_one_line(good, tmp_path, capsys):

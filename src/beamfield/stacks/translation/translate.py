@@ -22,6 +22,7 @@ from beamfield.stacks.translation.translation import (
     as_written,
     check_metres,
     map_notes,
+    random_poses,
 )
 from beamfield.stacks.translation.weight_comparison import (
     ChapterField,
@@ -95,7 +96,7 @@ def translate(
     else:
         values = _beam_values(source, stack, stack.model(name), max_range, notes)
     notes += source.model.notes
-    notes += () if stack is None else stack.model(name).notes
+    notes += () if stack is None else (*stack.model(name).notes, *random_poses(stack, name))
     notes += map_notes(source.stack, stack)
     return _translated(source, stack, name, values, max_range, resolution, assumptions, notes)
 

@@ -96,6 +96,17 @@ def map_notes(source: Stack, target: Stack | None) -> list[str]:
     return notes
 
 
+def random_poses(stack: Stack, model: str) -> list[str]:
+    """Report that a program draws poses at random by default, with weights that do not tell a lost robot."""
+    fast = 0.0 if stack.filter is None else getattr(stack.filter.parameters(), "recovery_alpha_fast", 0.0)
+    if not (fast and stack.averages_scans and stack.model(model).weight.is_product):
+        return []
+    return [
+        f"{stack.title} draws poses at random by default, which lead this product astray: set recovery_alpha_slow and "
+        "recovery_alpha_fast to 0"
+    ]
+
+
 def above_one(stack: Stack, hit: float) -> list[str]:
     """Report a peak against which a program would assert."""
     if not stack.asserts_p or hit <= 1.0:

@@ -101,10 +101,8 @@ def random_poses(stack: Stack, model: str) -> list[str]:
     fast = 0.0 if stack.filter is None else getattr(stack.filter.parameters(), "recovery_alpha_fast", 0.0)
     if not (fast and stack.averages_scans and stack.model(model).weight.is_product):
         return []
-    return [
-        f"{stack.title} draws poses at random by default, which lead this product astray: set recovery_alpha_slow and "
-        "recovery_alpha_fast to 0"
-    ]
+    do = "set recovery_alpha_slow and recovery_alpha_fast to 0"
+    return [f"{stack.title} draws poses at random by default, which lead this product astray: {do}"]
 
 
 def above_one(stack: Stack, hit: float) -> list[str]:

@@ -82,7 +82,7 @@ def translate(
     stack = None if to == CHAPTER else stack_named(to)
     name = _target(file, stack, to, model)
     source = Formula(file.program, file.described_model, checked_values(file))
-    notes = _ignored(file)
+    notes = [*_ignored(file), *([] if stack is None else random_poses(stack, name))]
     if stack is not None and source.stack.has_same_formulas(stack):
         values = _renamed(source, stack.model(name))
         return _translated(source, stack, name, values, max_range, resolution, (), notes)
@@ -96,7 +96,7 @@ def translate(
     else:
         values = _beam_values(source, stack, stack.model(name), max_range, notes)
     notes += source.model.notes
-    notes += () if stack is None else (*stack.model(name).notes, *random_poses(stack, name))
+    notes += () if stack is None else stack.model(name).notes
     notes += map_notes(source.stack, stack)
     return _translated(source, stack, name, values, max_range, resolution, assumptions, notes)
 

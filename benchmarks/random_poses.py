@@ -28,7 +28,7 @@ from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.filters.emulated_filter import EmulatedFilter
 from beamfield.stacks.registry import STACKS
 from fitted_poses import LASER
-from real_logs import read_log_and_map
+from real_logs import LOGS, read_log_and_map
 from tables import print_table
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -47,7 +47,8 @@ def logs() -> dict[str, tuple[SensorLog, OccupancyGrid]]:
         f"Wean Hall {i}": hall(f"wean_hall/robotdata{i}.log.gz", poses_path=f"wean_hall/reference_robotdata{i}.csv.gz")
         for i in (1, 3)
     }
-    return {**places, "simulated office": (drive.only_sensor(), office)}
+    pioneer = read_log_and_map(DATA, *LOGS[3][1:])
+    return {**places, "simulated office": (drive.only_sensor(), office), "simulated Pioneer": pioneer}
 
 
 def seconds_to_find(replayed: EmulatedFilter, log: SensorLog, first: int, seed: int) -> float | None:

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.errors import InvalidInputError
 
 _NUMBERS = "biuf"
-# From NumPy 2.5 on NDArray[...] is an alias that keeps its array to itself.
 _MASKED = np.ma.MaskedArray
+# From NumPy 2.5 on NDArray[...] is an alias that keeps its array to itself.
 _ARRAYS = (np.ndarray, get_origin(NDArray[np.float64]))
 
 

@@ -81,12 +81,12 @@ def _about_recovery(result: StackResult) -> Iterator[Finding]:
         yield Finding(
             "stack-recovery",
             "info",
-            f"{' and '.join(values)} become 0: no poses are drawn at random any more.",
+            f"No poses are drawn at random any more: {', '.join(f'{name} = 0' for name in values)}.",
             values,
-            why="They come in when scans weigh less than they did, and whole scans do that wherever the map is a "
-            f"little wrong. In the replay the position error was {recovery.before:.3f} m with them, "
-            f"{recovery.after:.3f} m without.",
-            do="A robot that is carried elsewhere needs an initial pose: beamfield localize --global finds it.",
+            why="They can replace particles that are right, above all where the map is a little wrong. In the replay "
+            f"the position error was {recovery.before:.3f} m with them, {recovery.after:.3f} m without.",
+            do="A robot that is carried elsewhere then needs an initial pose: beamfield localize --global looks "
+            "for it. Where your robot is carried often and never lost otherwise, keep your rates.",
         )
 
 

@@ -127,7 +127,7 @@ def random_poses(subject: Subject) -> Iterator[Finding]:
             f"{settings.model} multiplies over beams",
             "such weights fall by powers of ten where the map is a little wrong: poses drawn at random replace the "
             "particles, though the robot is not lost",
-            "set both rates to 0; a robot that was carried elsewhere is found by beamfield localize --global",
+            "set both rates to 0, and look for a robot that was carried elsewhere with beamfield localize --global",
             own=own, values=values,
         )  # fmt: skip
     elif slow > 0.0 and slow >= fast:
@@ -137,7 +137,7 @@ def random_poses(subject: Subject) -> Iterator[Finding]:
         yield subject.finding(
             "recovery-reversed", "warning", f"{own} is {slow:g}, recovery_alpha_fast is {fast:g}",
             f"random poses, which are to find a lost robot again, are mixed in {when}, not when the weights fall",
-            "set both to 0, as they rarely do; or the slow rate to a hundredth of the fast one, 0.001 and 0.1",
+            "set both to 0, or the slow rate to a hundredth of the fast one, 0.001 and 0.1 for example",
             own=own, values=values,
         )  # fmt: skip
 

@@ -32,8 +32,9 @@ NEAREST = 0.001
 FIRST_SEEDS, KEPT, LAST = 2, 6, 3
 OFF = "off"
 OWN = Key(BEFORE, BEFORE, 0.0, BEFORE)
-# In this order the user's values come back if others are not better for sure, but for what `_known` returns.
-PARTS = ("recovery", "motion", "sensor")
+# In this order the user's values come back if others are not better for sure, but for what `_known` returns. That
+# depends on the sensor's model, so that recovery comes last.
+PARTS = ("motion", "sensor", "recovery")
 # Motion noise of 0 is compared as this.
 LEAST_NOISE = 1e-6
 # An error counts this many times more than it is, per share of the updates that the particles' 95% ellipse lacks of
@@ -252,7 +253,7 @@ def choose_by_replay(
     choice = judge(finalist, crossed)
     for part in PARTS:
         # All stretches chose it; what the judgement does not confirm is chance.
-        if part not in _known(best) and choice.is_better and not _is_confirmed(choice, part):
+        if part not in _known(choice.finalist) and choice.is_better and not _is_confirmed(choice, part):
             key, *keys = (one.key._replace(**{part: getattr(OWN, part)}) for one in (choice.finalist, *crossed))
             simpler = [settings[one] for one in keys]
             rest = judge(settings[key], simpler)
@@ -340,7 +341,7 @@ def _is_surely_cheaper(one: ReplaySetting, other: ReplaySetting, replays: Replay
 
 
 def _known(setting: ReplaySetting) -> list[str]:
-    """Return which parts need no proof, because it is known that the program is wrong about them."""
+    """Return which parts need no proof, because it is known what the program does wrong there."""
     its = setting.filter
     is_misled = STACKS[its.stack].averages_scans and model_named(its.stack, its.model).multiplies(its.sensor)
     return ["origin", "recovery"] if is_misled else ["origin"]

@@ -102,7 +102,7 @@ def random_poses(stack: Stack, model: str) -> list[str]:
     if not (fast and stack.averages_scans and stack.model(model).weight.is_product):
         return []
     do = "set recovery_alpha_slow and recovery_alpha_fast to 0"
-    return [f"{stack.title} draws poses at random by default, which lead this product astray: {do}"]
+    return [f"{stack.title} draws poses at random by default, which can lead this product astray: {do}"]
 
 
 def above_one(stack: Stack, hit: float) -> list[str]:

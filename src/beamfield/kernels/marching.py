@@ -12,12 +12,13 @@ from beamfield.kernels.jit import kernel
 Floats = NDArray[np.float64]
 # Coordinates are held within this many cells, so that they fit an integer; no map is so large.
 FAR = 1e9
+# What a cell holds instead of a number of steps.
+OCCUPIED, UNKNOWN = 0, -1
 
 
 @kernel
 def march(poses: Floats, frame: tuple[float, float, float], resolution: float, starts: Floats, bearings: Floats,
-          step: float, one: float, n_steps: int, occupied: NDArray[np.bool_], free: NDArray[np.bool_], ranges: Floats
-          ) -> None:  # fmt: skip
+          step: float, bits: int, n_steps: int, cells: NDArray[np.int16], ranges: Floats) -> None:  # fmt: skip
     """Look at every `step` of a ray until it meets an obstacle.
 
     Parameters
@@ -34,20 +35,21 @@ def march(poses: Floats, frame: tuple[float, float, float], resolution: float, s
         (k,) direction of each beam in the robot frame, radians.
     step
         Length of a step, cells.
-    one
-        Positions and steps along the axes are cut off (towards 0) to whole parts of one cell, of which there are so
-        many.
+    bits
+        Positions and steps along the axes are cut off (towards 0) to whole parts of a cell, of which there are 2^bits.
     n_steps
         How many steps a ray takes at most. Obstacles where it ends are met; off the map or in an unknown cell it meets
         nothing there, too.
-    occupied, free
-        (rows, cols).
+    cells
+        (rows, cols): OCCUPIED, UNKNOWN or, in a free cell, a number of steps from 1 on before whose last no ray leaves
+        the free cells. They are taken at once.
     ranges
         (n, k) cells, overwritten: number of steps to the obstacle times their length, or that of all steps if none of
-        them meets one; -1 for rays that leave the map or meet a cell that is neither occupied nor free.
+        them meets one; -1 for rays that leave the map or meet an unknown cell.
     """
-    rows, cols = occupied.shape
+    rows, cols = cells.shape
     cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
+    one = float(1 << bits)
     for i in range(len(poses)):
         dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
         x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
@@ -61,16 +63,19 @@ def march(poses: Floats, frame: tuple[float, float, float], resolution: float, s
             along = heading + bearings[b]
             step_u, step_v = math.trunc(step * math.cos(along) * one), math.trunc(step * math.sin(along) * one)
             ranges[i, b] = n_steps * step
-            for taken in range(n_steps + 1):
-                col, row = math.floor(at_u / one), math.floor(at_v / one)
+            taken = 0
+            while taken <= n_steps:
+                col, row = at_u >> bits, at_v >> bits
                 if row < 0 or col < 0 or row >= rows or col >= cols:
                     ranges[i, b] = -1.0
                     break
-                if occupied[row, col]:
+                steps = int(cells[row, col])
+                if steps == OCCUPIED:
                     ranges[i, b] = taken * step
                     break
-                if not free[row, col]:
+                if steps == UNKNOWN:
                     ranges[i, b] = -1.0
                     break
-                at_u += step_u
-                at_v += step_v
+                taken += steps
+                at_u += steps * step_u
+                at_v += steps * step_v

@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from beamfield.arguments import keep
 from beamfield.geometry import FloatArray, as_poses, compose
-from beamfield.kernels.marching import march
+from beamfield.kernels.marching import OCCUPIED, UNKNOWN, march
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -23,9 +24,9 @@ from beamfield.stacks.mrpt.parameters import MrptRayParameters
 from beamfield.stacks.mrpt.scan import mrpt_grid, valid_readings
 
 MrptRayChoice = Literal["marching", "exact"]
-# Rays take steps of so many cells, in numbers of so many parts of a cell; there are max_range / resolution of them, so
+# Rays take steps of so many cells, in numbers of 2^BITS parts of a cell; there are max_range / resolution of them, so
 # that rays end at this share of max_range.
-STEP, PARTS = 0.8, 1024.0
+STEP, BITS = 0.8, 10
 # With the distance filter differences count no more than this, metres.
 MOST = 2.0
 RANDOM, HIT = 0.1, 0.9
@@ -62,6 +63,7 @@ class MrptRays(RayModel[MrptRayParameters]):
     rays: MrptRayChoice = field(default="marching", kw_only=True)
     map_mode: MapMode = field(default="trinary", kw_only=True)
     _seen: OccupancyGrid = field(init=False, repr=False)
+    _cells: NDArray[np.int16] = field(init=False, repr=False)
     _casters: tuple[RayCaster, RayCaster] | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -70,7 +72,7 @@ class MrptRays(RayModel[MrptRayParameters]):
         casters = None
         if self.rays == "exact":
             casters = RayCaster(seen, unknown="occupied"), RayCaster(seen, unknown="free")
-        keep(self, _seen=seen, _casters=casters)
+        keep(self, _seen=seen, _cells=steps_at_once(seen), _casters=casters)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges; see `StackModel.evidence`."""
@@ -116,16 +118,21 @@ class MrptRays(RayModel[MrptRayParameters]):
         rows = np.require(poses, requirements=["C", "W"])
         starts, bearings = np.array(mounts[:, :2].T, order="C"), np.array(mounts[:, 2])
         x, y, yaw = self._seen.origin.tolist()
-        occupied, free = self._seen.occupied, self._seen.free
         resolution = self._seen.resolution
         n_steps = round(max_range / resolution)
 
         def work(a: int, b: int) -> None:
-            march(
-                rows[a:b], (x, y, yaw), resolution, starts, bearings, STEP, PARTS, n_steps, occupied, free, ranges[a:b]
-            )
+            march(rows[a:b], (x, y, yaw), resolution, starts, bearings, STEP, BITS, n_steps, self._cells, ranges[a:b])
 
         run_in_blocks(work, len(rows), work_per_row=WORK_PER_RAY * len(mounts))
         # In single precision, as in the program.
         metres = (ranges * float(np.float32(resolution))).astype(np.float32)
         return np.where(ranges < 0.0, max_range, metres.astype(np.float64))
+
+
+def steps_at_once(grid: OccupancyGrid) -> NDArray[np.int16]:
+    """Return what `march` knows of each cell (rows, cols)."""
+    # By k steps a ray gets no further than ceil(STEP k) cells to any side, and the cells nearer than this are free.
+    clear = ndimage.distance_transform_cdt(np.pad(grid.free, 1), metric="chessboard")[1:-1, 1:-1]
+    steps = np.floor((clear - 1) / STEP) + 1
+    return np.where(grid.free, steps, np.where(grid.occupied, OCCUPIED, UNKNOWN)).astype(np.int16)

@@ -10,7 +10,7 @@ import pytest
 
 from beamfield.errors import TrajectoryNotFoundError
 from beamfield.geometry import FloatArray, interpolate_poses
-from beamfield.localization.scan_delay import scan_delay
+from beamfield.localization.scan_delay import _best_shift, scan_delay
 from beamfield.localization.trajectory import fit_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, SensorLog
@@ -63,6 +63,16 @@ def test_good_stamps_and_small_delays_are_not_named(tour: SensorLog, seconds: fl
 
 def test_a_wrong_sign_of_the_turns_is_no_delay(tour: SensorLog):
     assert scan_delay(replace(tour, odometry=tour.odometry * [1.0, -1.0, -1.0])) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_turns_evenly_says_nothing_of_a_delay(seed: int):
+    rng, stamps = np.random.default_rng(seed), 0.2 * np.arange(200)
+    driven = np.cumsum(0.02 + 0.008 * rng.normal(size=200))
+    begin = stamps[40:160]
+    found = _best_shift(0.02 + 0.002 * rng.normal(size=120), begin, begin + 0.2, stamps, driven)
+    assert abs(found.delay) > 0.2  # by chance
+    assert not found.fits
 
 
 def test_scans_that_are_rare_say_nothing_of_a_delay(tour: SensorLog):

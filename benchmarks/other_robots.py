@@ -25,7 +25,7 @@ from scipy import ndimage
 
 from beamfield.cli.demo import DEFAULTS
 from beamfield.cli.main import main as beamfield
-from beamfield.geometry import between, chained, wrap_angle
+from beamfield.geometry import between, chained, compose, wrap_angle
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_map import read_map
@@ -62,18 +62,22 @@ class Laser:
     wheels: OdometryNoise = WORN
     slip_deg: float = 0.0
     """By how much the odometry turns wrongly between two scans in the middle of a drive."""
+    sideways: bool = False
+    """Whether the robot moves to its left; the laser is in its middle then."""
 
     def drive(self, world: OccupancyGrid, seconds: float, seed: int) -> ScanLog:
         """Return a log with exact poses."""
         first, last, n = self.bearings
+        ahead = 0.0 if self.sideways else 0.1  # CARMEN logs have no laser to the left of the robot
         finder = RangeFinder.from_bearings(
-            np.radians(np.linspace(first, last, n)), self.limits[1], min_range=self.limits[0], mount=(0.1, 0.0, 0.0)
+            np.radians(np.linspace(first, last, n)), self.limits[1], min_range=self.limits[0], mount=(ahead, 0.0, 0.0)
         )
         log = simulate_log(
             world, finder, self.truth, duration=seconds, scan_rate=self.rate, seed=seed, odometry_noise=self.wheels,
             drive=DriveOptions(speed=0.6), dependence=Dependence(np.radians(4.0), 1.0),
         )  # fmt: skip
-        return log if self.slip_deg == 0.0 else slipped(log, np.radians(self.slip_deg))
+        log = log if self.slip_deg == 0.0 else slipped(log, np.radians(self.slip_deg))
+        return turned_right(log) if self.sideways else log
 
 
 def slipped(log: ScanLog, turn: float) -> ScanLog:
@@ -87,6 +91,15 @@ def slipped(log: ScanLog, turn: float) -> ScanLog:
         log, sensors=dict.fromkeys(log.sensors, replace(sensor, odometry=odometry)),
         odometry=Track(sensor.stamps, odometry),
     )  # fmt: skip
+
+
+def turned_right(log: ScanLog) -> ScanLog:
+    """Return the same drive of a robot whose x axis points to the right of where it goes."""
+    sensor, right = log.only_sensor(), (0.0, 0.0, -np.pi / 2.0)
+    odometry = compose(sensor.odometry, right)
+    finder = replace(sensor.finder, mounts=between(right, sensor.finder.mounts))
+    sensor = replace(sensor, finder=finder, poses=compose(sensor.poses, right), odometry=odometry)
+    return replace(log, sensors=dict.fromkeys(log.sensors, sensor), odometry=Track(sensor.stamps, odometry))
 
 
 LASERS = {
@@ -111,6 +124,7 @@ def ros1(model: str) -> File:
     return File("ros1", f"amcl:\n  laser_model_type: {model}\n")
 
 
+OMNI = "    robot_model_type: nav2_amcl::OmniMotionModel\n"
 # What is otherwise than a drive of two minutes of `USUAL` with nav2's defaults.
 OTHERWISE: dict[str, dict[str, Any]] = {
     "nothing": {},
@@ -131,6 +145,8 @@ OTHERWISE: dict[str, dict[str, Any]] = {
     "laser turned by 180 degrees": {"laser": replace(USUAL, bearings=(0.0, 359.0, 360))},
     "odometry slips by 20 degrees": {"laser": replace(USUAL, slip_deg=20.0)},
     "wheels three times as worn": {"laser": replace(USUAL, wheels=OdometryNoise(0.06, 0.06, 0.09, 0.06, 0.09))},
+    "moves sideways": {"laser": replace(USUAL, sideways=True), "file": File(text=DEFAULTS)},
+    "moves sideways, OmniMotionModel": {"laser": replace(USUAL, sideways=True), "file": File(text=DEFAULTS + OMNI)},
     "wheels nearly perfect": {"laser": replace(USUAL, wheels=OdometryNoise(0.001, 0.0005, 0.001, 0.0005, 0.0005))},
 }
 

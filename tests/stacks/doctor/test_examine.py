@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError
+from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, SensorLog
 from beamfield.stacks.doctor.examine import CHECKS, examine
@@ -142,6 +143,14 @@ def noisy_drive():
     return amcl_log((0.03,) * 4, 1, n=400)
 
 
+@cache
+def sideways_drive():
+    """Return the same drive of a robot whose x axis points to the right of where it goes."""
+    log = noisy_drive()
+    right = [0.0, 0.0, -np.pi / 2]
+    return replace(log, poses=compose(log.poses, right), odometry=compose(log.odometry, right))
+
+
 def made(others):
     """Return map and log, made now: at import, each worker would compile what makes them before its first test."""
     return {name: make() if callable(make) else make for name, make in others.items()}
@@ -159,6 +168,11 @@ FINDINGS = {
     "motion-noise-wide": (alphas(0.9), {"log": noisy_drive}, alphas(0.03), {"log": noisy_drive}),
     "motion-noise-narrow": (alphas(0.001), {"log": noisy_drive}, alphas(0.03), {"log": noisy_drive}),
     "no-motion-noise": (alphas(0.0), {}, alphas(0.001), {}),
+    "moves-sideways": (alphas(0.03), {"log": sideways_drive}, alphas(0.03), {"log": noisy_drive}),
+    "moves-sideways with the right model": (
+        alphas(0.03), {"log": sideways_drive},
+        {**alphas(0.03), "robot_model_type": '"nav2_amcl::OmniMotionModel"'}, {"log": sideways_drive},
+    ),
     "updates-far-apart": ({"update_min_d": 1.5}, {}, {"update_min_d": 0.9}, {}),
     "updates-far-apart in angle": ({"update_min_a": 1.1}, {}, {"update_min_a": 1.0}, {}),
     "particles-reversed": ({"min_particles": 500, "max_particles": 100}, {},

@@ -52,6 +52,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     weight_checks.unused_weights,
     motion_checks.no_motion_noise,
     motion_checks.motion_noise,
+    motion_checks.sideways_motion,
     motion_checks.updates_and_particles,
     motion_checks.random_poses,
     value_checks.loaded_elsewhere,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, keep, require
+from beamfield.arguments import check_fields, keep, require, restore
 from beamfield.detections import Detections, as_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -50,6 +50,7 @@ class DetectionLog:
     notes: tuple[str, ...] = ()
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

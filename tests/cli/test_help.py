@@ -156,6 +156,10 @@ def test_help_and_the_list_of_figures_load_no_numerical_library():
         (["-q", "map", "run.log"], "-q: options go after the command. See beamfield --help"),
         (["fleet", "--out", "x", "scan", "."], "--out: options go after the command. See beamfield fleet --help"),
         (["map", "run.log", "--mask", "-5:5"], "--mask: a value that begins with - needs =, as in --mask=-5:5."),
+        (
+            ["localize", "run.log", "--map", "m", "-o", "x.tum"],
+            "-o/--out: expected a folder to write files into, got 'x.tum'",
+        ),
         (["map", "run.log", "--no-return", "foo"], "--no-return: expected detect, none or numbers, got 'foo'."),
         (["map", "run.log", "--opening-angle", "180"], "--opening-angle: expected an angle below 180 degrees, got"),
     ],

@@ -110,6 +110,16 @@ def test_survives_pickling_and_compiles_nothing_anew(case):
         assert [twin.log_likelihood(z, POSES).tolist() for z in case.measurements] == expected
         assert [model.log_likelihood(z, POSES).tolist() for z in measurements] == expected
         assert compiled_kernels() == known
+        assert writeable((twin, measurements)) == writeable((model, case.measurements))
+
+
+def writeable(value):
+    """Return whether each array of a model may be written to."""
+    if isinstance(value, np.ndarray):
+        return value.flags.writeable
+    return [
+        writeable(part) for part in (value if isinstance(value, tuple) else getattr(value, "__dict__", {}).values())
+    ]
 
 
 def test_is_frozen(case):

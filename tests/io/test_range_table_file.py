@@ -16,6 +16,7 @@ import pytest
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.maps import range_table_file
 from beamfield.io.maps.range_table_file import PAGE, precompute_ranges, read_range_table
+from beamfield.io.read_log import read_log
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.range_table import RangeTable
 from beamfield.sensors import RangeFinder
@@ -41,6 +42,12 @@ def whole(tmp_path_factory) -> bytes:
     path = tmp_path_factory.mktemp("table") / "a.ranges"
     precompute_ranges(path, GRID, **HOW)
     return path.read_bytes()
+
+
+def test_a_table_is_no_log(tmp_path, whole):
+    (tmp_path / "a.ranges").write_bytes(whole)
+    with pytest.raises(FormatError, match="this is a range table: give it with --range-table"):
+        read_log(tmp_path / "a.ranges")
 
 
 def test_a_file_gives_the_ranges_of_a_table_in_memory_and_is_kept(tmp_path, whole):

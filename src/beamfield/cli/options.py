@@ -27,6 +27,23 @@ LOG_FORMATS = (
 )
 MAP_FORMATS = "map_server .yaml, Wean .dat, or a bag"
 PICTURES = (".png", ".svg", ".pdf")
+# A new folder of such a name is a misunderstanding.
+FILES = (
+    *PICTURES,
+    ".gif",
+    ".html",
+    ".tum",
+    ".csv",
+    ".json",
+    ".yaml",
+    ".yml",
+    ".rrd",
+    ".mcap",
+    ".bag",
+    ".db3",
+    ".log",
+    ".gz",
+)
 # No range sensor of a robot reaches so many metres: millimetres do.
 MOST_REACH = 1000.0
 
@@ -34,7 +51,8 @@ MOST_REACH = 1000.0
 def add_out(parser: argparse.ArgumentParser, default: str | None, *, metavar: str, what: str) -> None:
     """Add --out; a command that is there to write has a default, one that answers a question has none."""
     stated = "" if default is None else " (default: %(default)s)"
-    parser.add_argument("-o", "--out", type=Path, default=default and Path(default), metavar=metavar,
+    kind = _folder if metavar == "DIR" else Path
+    parser.add_argument("-o", "--out", type=kind, default=default and Path(default), metavar=metavar,
                         help=f"{what}; files of the same name are replaced{stated}")  # fmt: skip
 
 
@@ -362,6 +380,13 @@ def parameters_instead_of(expected: str, path: Path) -> FormatError | None:
     return FormatError(
         path, f"this is a parameter file of {stack}, not a {expected}: use `beamfield doctor {path.name}`"
     )
+
+
+def _folder(text: str) -> Path:
+    path = Path(text)
+    if path.suffix.lower() in FILES and not path.exists():
+        raise argparse.ArgumentTypeError(f"expected a folder to write files into, got {path.name!r}")
+    return path
 
 
 def _no_return(text: str) -> str | tuple[float, ...]:

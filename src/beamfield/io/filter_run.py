@@ -13,7 +13,7 @@ import numpy as np
 from beamfield.arguments import check_fields
 from beamfield.geometry import FloatArray
 from beamfield.io.files.atomic import write_file
-from beamfield.io.trajectory import read_trajectory
+from beamfield.io.trajectory import read_poses, read_trajectory
 from beamfield.sensors import Track
 from beamfield.short_repr import short_repr
 
@@ -45,7 +45,7 @@ def read_run(path: str | Path) -> FilterRun:
     track, cloud = read_trajectory(source / TRAJECTORY), source / PARTICLES
     if not cloud.exists():
         return FilterRun(track, np.empty(0), ())
-    every = read_trajectory(cloud)
+    every = read_poses(cloud)
     stamps, first = np.unique(every.stamps, return_index=True)
     return FilterRun(track, stamps, tuple(np.split(every.poses, first[1:])))
 

@@ -33,6 +33,8 @@ SUPPORTED = (
     "and .mcap"
 )
 
+# The first line of a range table; its module would load the numerical libraries.
+RANGE_TABLE = "beamfield range table"
 # Lines without any known word after which a file is given up; odometry may come long before the first scan.
 UNKNOWN_LINES = 100
 
@@ -185,6 +187,10 @@ def _text_reader(path: Path) -> _Reader:
         words = text.split()
         if not words or words[0].startswith("#"):
             continue
+        if text.rstrip("\n") == RANGE_TABLE:
+            raise FormatError(
+                path, "this is a range table: give it with --range-table to beamfield localize or likelihood"
+            )
         first = first or (line, text)
         reader = _reader_of(words, first[0] == line)
         if reader is not None:

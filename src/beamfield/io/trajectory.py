@@ -22,6 +22,8 @@ from beamfield.short_repr import short_repr
 TIME_NAMES = ("t", "time", "stamp", "timestamp", "#timestamp", "sec", "seconds")
 # A reference at the rate of the scans, or of a SLAM program, has gaps of seconds; a longer one hides motion.
 MAX_GAP = 2.0
+# More poses a stamp, on average, are no path: a filter's particles, or stamps rounded to whole seconds.
+MOST_AT_ONCE = 5
 # Files round their times; more than this is another log, or another scan of it.
 SAME_TIME = 0.02
 # A quaternion with a norm further from 1 is something else.
@@ -69,11 +71,24 @@ def read_trajectory(path: str | Path) -> Track:
     ------
     FormatError
         If the text is none of these, a number is missing or not finite, stamps run backwards, or there is no pose; the
-        line and the value are named.
+        line and the value are named. If the poses are a filter's particles.
     OSError
         As the file system says.
     """
     source = Path(path)
+    track = read_poses(source)
+    at_once = len(track) / len(np.unique(track.stamps))
+    if at_once > MOST_AT_ONCE and not isinstance(track, IndexedTrack):
+        raise FormatError(
+            source,
+            f"{at_once:.0f} poses at each time: a filter's particles, or rounded times; give the poses of one path "
+            "(trajectory.tum, beside the particles that beamfield localize writes)",
+        )
+    return track
+
+
+def read_poses(source: Path) -> Track:
+    """Read what `read_trajectory` does, but any number of poses at a time."""
     rows = _rows(source)
     first = next(rows, None)
     if first is None:

@@ -131,9 +131,11 @@ def _fill_quick(ranges: Floats, decay: Floats, expected: Floats, at_limit: float
 
 @fused_kernel
 def _fill_decay(ranges: Floats, view: BeamView, out: Floats) -> None:
-    """Fill out (n,) with exp(-lambda z); n is a multiple of LANES."""
+    """Fill out (n,) with exp(-lambda z), z up to max_range; n is a multiple of LANES."""
     for i in range(out.size):
-        out[i] = fused_exp_2(-LOG2_E * view.lambda_short * ranges[i])
+        # lambda may be 0 and a range infinite, whose product is no number.
+        z = ranges[i] if ranges[i] < view.max_range else view.max_range
+        out[i] = fused_exp_2(-LOG2_E * view.lambda_short * z)
 
 
 @kernel

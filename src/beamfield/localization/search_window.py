@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, keep, require
+from beamfield.arguments import check_fields, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, transform_points, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
@@ -58,6 +58,8 @@ class SearchWindow:
         def __init__(
             self, center: ArrayLike, width: float = 20.0, height: float = 20.0, turn: float = 2.0 * np.pi
         ) -> None: ...
+
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

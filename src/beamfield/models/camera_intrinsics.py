@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import check_fields, keep, require
+from beamfield.arguments import check_fields, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.models.ceiling_camera import CeilingCamera
@@ -53,6 +53,8 @@ class CameraIntrinsics:
     matrix: FloatArray
     distortion: FloatArray
     image_size: FloatArray
+
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import check_fields, keep, require
+from beamfield.arguments import check_fields, keep, require, restore
 from beamfield.geometry import FloatArray, as_pose, as_poses, between, compose, invert
 
 
@@ -97,6 +97,8 @@ class CeilingCamera:
             principal_point: ArrayLike = (0.0, 0.0),
             image_size: ArrayLike | None = None,
         ) -> None: ...
+
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -12,7 +12,7 @@ from typing import ClassVar, Generic, Literal, NamedTuple, TypeVar, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked, keep, require
+from beamfield.arguments import check_fields, checked, keep, require, restore
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, as_poses, pose_rows
@@ -104,6 +104,8 @@ class CorrespondenceModel(ABC, Generic[Z]):
     _kernels: ClassVar[ModuleType]
     """Has add_known and fill_candidates, with the parameters of those in `kernels.landmark`, and fill_nearest where
     nothing is excluded and the best candidate can be found without the values of all."""
+
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -318,7 +320,9 @@ class CorrespondenceModel(ABC, Generic[Z]):
     def _mount_in_sensor_axes(self) -> FloatArray:
         x, y, theta = self.mount.tolist()
         cos, sin = math.cos(theta), math.sin(theta)
-        return np.array([cos * x + sin * y, cos * y - sin * x, theta])
+        mount = np.array([cos * x + sin * y, cos * y - sin * x, theta])
+        mount.flags.writeable = False  # as `restore` makes it
+        return mount
 
 
 def _log(probability: float) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import LARGEST, check_fields, check_magnitude, keep, require
+from beamfield.arguments import LARGEST, check_fields, check_magnitude, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.short_repr import short_repr
@@ -90,6 +90,7 @@ class LandmarkParameters:
         ) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -255,7 +255,9 @@ class LineModel(CorrespondenceModel[LineDetections]):
     def _seen_from_origin(self) -> FloatArray:
         """(N, 4) the map as the kernels take it."""
         rho, alpha = self.lines.lines.T
-        return np.column_stack([np.cos(alpha), np.sin(alpha), rho, alpha])
+        table = np.column_stack([np.cos(alpha), np.sin(alpha), rho, alpha])
+        table.flags.writeable = False  # as `restore` makes it
+        return table
 
     def _exclude(self, z: LineDetections, given: Given, flat: FloatArray, mount: FloatArray, map_features: FloatArray,
                  each: FloatArray) -> None:  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import SMALLEST, as_generator, check_fields, check_magnitude, checked, keep, require
+from beamfield.arguments import SMALLEST, as_generator, check_fields, check_magnitude, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, wrap_angle
 from beamfield.kernels.marker import NEGLIGIBLE, CameraView, fill_detection_log_density, fill_scan_log_density
@@ -58,6 +58,7 @@ class MarkerDetections:
         def __init__(self, ids: Sequence[MarkerId], image: ArrayLike, stamp: float = 0.0) -> None: ...
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

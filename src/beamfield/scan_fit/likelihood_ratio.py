@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import check_fields, keep
+from beamfield.arguments import check_fields, keep, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 
@@ -41,6 +41,8 @@ class LostEvidence:
     knots: FloatArray
     log_ratio: FloatArray
     correlation_s: float
+
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, keep
+from beamfield.arguments import check_fields, keep, restore
 from beamfield.calibration.selection import SelectionOptions, select_scans
 from beamfield.calibration.time_split import time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -79,6 +79,7 @@ class ScanFitReference:
     inputs: Mapping[str, Any] = field(default_factory=dict)
 
     __repr__ = short_repr
+    __setstate__ = restore
 
     def __post_init__(self) -> None:
         check_fields(self)

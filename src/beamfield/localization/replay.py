@@ -174,7 +174,7 @@ class ReplayErrors:
     updates
         How many updates there were.
     update_ms
-        Processor time of an update, milliseconds; None if it was not taken.
+        Median processor time of an update, milliseconds; None if it was not taken.
     """
 
     mean: float
@@ -272,7 +272,7 @@ def judge_replay(replay: Replay, reference: ArrayLike) -> ReplayErrors:
         sd_position=float(np.sqrt(np.median(np.trace(replay.covariances[:, :2, :2], axis1=1, axis2=2)))),
         particles=float(replay.particles.mean()),
         updates=len(replay.updates),
-        update_ms=1e3 * float(replay.seconds.mean()) if len(replay.seconds) else None,
+        update_ms=1e3 * float(np.median(replay.seconds)) if len(replay.seconds) else None,
     )
 
 

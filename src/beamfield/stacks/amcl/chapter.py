@@ -31,8 +31,8 @@ def plain_from_chapter(learned: BeamParameters) -> dict[str, float]:
 def amcl_chapter_notes(model: Model, plain: BeamParameters, typical_range: float, cell: float) -> list[str]:
     """Return what the chapter's beam model loses in AMCL's."""
     said = (
-        f"{model.emulator.stack} normalises neither hits nor short readings: z_hit is the height of the peak, and "
-        f"z_short keeps its share where {typical_range:.3g} m are expected"
+        "amcl normalises neither hits nor short readings: z_hit is the height of the peak, and z_short keeps its share "
+        f"where {typical_range:.3g} m are expected"
     )
     return [said, *beam_notes(model, plain, typical_range, cell)]
 
@@ -42,8 +42,7 @@ def beam_notes(model: Model, plain: BeamParameters, typical_range: float, cell: 
     notes = []
     if plain.lambda_short < LEAST_RATE and plain.z_short > 0.0:
         notes.append(
-            f"lambda_short {plain.lambda_short:.2g} becomes {LEAST_RATE}: at 0 {model.emulator.stack} has no short "
-            "readings"
+            f"lambda_short {plain.lambda_short:.2g} becomes {LEAST_RATE}: at 0 this model has no short readings"
         )
     if plain.z_max > 0.0:
         notes.append(

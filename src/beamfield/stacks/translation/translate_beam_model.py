@@ -124,7 +124,9 @@ def translate_beam_model(
     formula = Formula(stack, chosen, chosen.parameters(**as_written(values)))
     if not chosen.weight.of_field:
         notes.append(_formula_note(formula, own, cell))
-    notes.append(f"for the values that are best in {to}'s own formula: beamfield calibrate LOG --map MAP --stack {to}")
+    notes.append(
+        f"for the values that are best in {stack.title}'s own formula: beamfield calibrate LOG --map MAP --stack {to}"
+    )
     return Translation(to, chosen.name, values, _compared(formula, own, cell), (), tuple(notes))
 
 
@@ -142,7 +144,7 @@ def _choose(stack: Stack, model: str | None) -> tuple[Model, list[str]]:
     instead = f" (--to-model: {', '.join(others)})" if others else ""
     like = ", as yours is" if settable else ""
     what = "ranges along rays" if settable else "distances to obstacles"
-    return chosen, [f"{chosen.name} was chosen, because it is {stack.name}'s model of {what}{like}{instead}"]
+    return chosen, [f"{chosen.name} was chosen, because it is {stack.title}'s model of {what}{like}{instead}"]
 
 
 def _read(path: Path, typical_range: float | None) -> _Own:
@@ -266,4 +268,4 @@ def _cubes(stack: Stack, model: Model) -> list[str]:
     """Report a stack that adds cubes where beamfield multiplies."""
     if model.weight.is_product:
         return []
-    return [f"{stack.name} takes {model.weight.text}, beamfield the product of p: no values make these the same"]
+    return [f"{stack.title} takes {model.weight.text}, beamfield the product of p: no values make these the same"]

@@ -176,6 +176,10 @@ def likelihood_field(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "log": world.log, "scan": world.scan, "poses": world.particles}
 
 
+def likelihood_map(world: World) -> dict[str, Any]:
+    return {"grid": world.grid, "model": world.model, "scan": world.scan}
+
+
 def lines(world: World) -> dict[str, Any]:
     write_line_map("walls.csv", world.walls)
     return {"scan": world.scan, "particles": world.particles}
@@ -191,6 +195,10 @@ def marker(world: World) -> dict[str, Any]:
 
 def localization(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "log": world.log[:20]}
+
+
+def odometry(world: World) -> dict[str, Any]:
+    return {"log": world.log}
 
 
 def range_table(world: World) -> dict[str, Any]:
@@ -236,9 +244,11 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "landmark_learning": landmark_learning,
     "landmarks": landmarks,
     "likelihood_field": likelihood_field,
+    "likelihood_map": likelihood_map,
     "lines": lines,
     "localization": localization,
     "marker": marker,
+    "odometry": odometry,
     "range_table": range_table,
     "raycasting": raycasting,
     "scan_fit": scan_fit,

@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     names = [name.replace("-", "_") for name, *_ in OPTIONS]
     size = FleetSize(**{name: getattr(arguments, name) for name in names})
     if not arguments.quiet:
-        complain(f"note: {size.drives} drives make logs of about {size.bytes / 1e6:.0f} MB")
+        complain(f"note: {size.drives} drives make logs of about {size.bytes / 1e6:.3g} MB")
     plan = plan_fleet(size, seed=arguments.seed)
     with (
         options.progress(arguments) as progress,

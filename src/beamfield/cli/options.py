@@ -28,7 +28,7 @@ LOG_FORMATS = (
 MAP_FORMATS = "map_server .yaml, Wean .dat, or a bag"
 PICTURES = (".png", ".svg", ".pdf")
 # A new folder of such a name is a misunderstanding.
-FILES = (*PICTURES, ".gif", ".html", ".tum", ".csv", ".json", ".yaml", ".yml", ".mcap", ".bag", ".log", ".gz")
+FILES = (*PICTURES, ".gif", ".html", ".tum", ".csv", ".json", ".yaml", ".yml", ".mcap", ".bag", ".log", ".txt", ".gz")
 # No range sensor of a robot reaches so many metres: millimetres do.
 MOST_REACH = 1000.0
 

@@ -271,7 +271,7 @@ def _checked(log: SensorLog, grid: OccupancyGrid, start: ArrayLike | None) -> Fl
     if not grid.free.any():
         raise InvalidInputError("grid: the map has no free cell, so the robot can be nowhere")
     if len(log) < FEWEST_SCANS:
-        raise TooLittleDataError(f"the log has {len(log)} scans; a trajectory needs at least {FEWEST_SCANS}")
+        raise TooLittleDataError(f"too few scans: {len(log)}; a trajectory needs at least {FEWEST_SCANS}")
     if not np.isfinite(log.stamps).all():
         where = int(np.argmin(np.isfinite(log.stamps)))
         raise InvalidInputError(f"log: expected finite stamps, got {log.stamps[where]} at scan {where}")

@@ -296,7 +296,7 @@ def _summary(found: Mapping[str, Any]) -> str:
     else:
         likelier = round(reference["share_of_likelier_places"] * found["n_places"])
         lines.append(
-            f"at the reference: {below:.2f} nats below the maximum; {likelier:,} of {found['n_places']:,} places are "
-            "likelier"
+            f"at the reference: {below:.2f} nats below the maximum; {likelier:,} of {found['n_places']:,} places "
+            f"{'is' if likelier == 1 else 'are'} likelier"
         )
     return "\n".join(lines)

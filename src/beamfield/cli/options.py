@@ -121,7 +121,8 @@ def add_log(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     group.add_argument("--min-range", type=not_negative, metavar="M",
                        help="shortest range that counts (default: as the log says)")  # fmt: skip
     group.add_argument("--mask", type=_sector, action="append", default=[], metavar="DEG:DEG",
-                       help="bearings whose readings do not count, as --mask=-170:-155; repeatable")  # fmt: skip
+                       help="bearings, counter-clockwise, whose readings do not count, as --mask=-170:-155; "
+                       "repeatable")  # fmt: skip
     group.add_argument("--opening-angle", type=_opening_angle, metavar="DEG",
                        help="full width of a sonar's cones, if the log does not say it; 0: beams")  # fmt: skip
     group.add_argument("--stamps", choices=("file", "order"), default="file",

@@ -94,9 +94,9 @@ _ALL = (
     ),
     ChapterFigure(
         "6.7", "6.3.2", "scan_figures.likelihood_over_map_figure", "A scan, and its likelihood over the map",
-        "(a) A range scan at its reference pose in the map: the one asked for, or of four with far and near readings "
-        "the first whose maximum is there, if there is one. (b) The likelihood of this scan at every free place, with "
-        "the heading that suits it best: the darker, the more likely. The scan alone leaves several places possible.",
+        "(a) A range scan at its reference pose in the map: the one asked for, or one with far and near readings, if "
+        "possible one that is likeliest there. (b) The likelihood of this scan at every free place, with the heading "
+        "that suits it best: the darker, the more likely. The scan alone leaves several places possible.",
     ),
     ChapterFigure(
         "6.8", "6.4.1", "field_figures.obstacles_figure", "Obstacles and their likelihood field",

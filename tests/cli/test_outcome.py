@@ -27,7 +27,7 @@ COMMANDS = {
     "map": ("{world}/log.carmen --out {out}/m.yaml --resolution 0.2", {"kind", "rows", "cols", "cells", "scans"}, 0),
     "likelihood": (
         f"{LOG} --scan 3 --resolution 1 --headings 8 --out {{out}}/l.png",
-        {"scan", "model", "n_poses", "n_places", "n_headings", "resolution_m", "maximum", "reference"},
+        {"scan", "model", "n_poses", "n_places", "n_headings", "resolution_m", "maximum", "rival", "reference"},
         0,
     ),
     "check": (

@@ -56,9 +56,9 @@ def build_parser() -> Parser:
     """Return the parser with all subcommands."""
     parser = Parser(
         prog="beamfield",
-        description="Measurement models of probabilistic robotics: calibrate a range sensor from a log and a map.",
-        epilog="Exit codes: 0 done; 1 bad input, or doctor found a problem; 2 wrong usage; 3 too little data or not "
-        "converged; 70 an error in beamfield itself.",
+        description="See when and where a robot gets lost in its map, and calibrate its sensor and its AMCL from a log.",
+        epilog="Exit codes: 0 done; 1 bad input, or doctor found a problem; 2 wrong usage; 3 too little data, not "
+        "converged, or a result not to be trusted; 70 an error in beamfield itself.",
     )
     parser.add_argument("--version", action="version", version=f"beamfield {__version__}")
     subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=Parser)

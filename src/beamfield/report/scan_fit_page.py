@@ -22,7 +22,7 @@ from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
 SCHEMA = "beamfield-fit/1"
 RELIABILITY = "Can the lost probability be trusted?"
 SOURCE = "Sections and equations are those of chapter 6 of Probabilistic Robotics (Thrun, Burgard and Fox, 2005)."
-COLUMNS = ("stamp", "statistic", "p_value", "lost_probability", "surprise", "through", "short", "beams", "problem")
+COLUMNS = ("stamp", "misfit", "p_value", "lost_probability", "surprise", "through", "short", "beams", "problem")
 
 
 def fit_table(fits: ScanFits, worst: NDArray[np.int64]) -> str:

@@ -77,7 +77,8 @@ def _noise(calibration: Calibration) -> str:
     sigma = next(row for row in parameter_rows(calibration) if row.name == "sigma_hit")
     interval = calibration.intervals.intervals.get("sigma_hit")
     vague = ", hardly determined by this log" if interval is not None and interval[1] > VAGUE * interval[0] else ""
-    return f"{sigma.name} is {sigma.value} m {sigma.interval_text}{vague}."
+    bounds = sigma.interval_text if sigma.interval else f"({sigma.interval_text})"
+    return f"{sigma.name} is {sigma.value} m {bounds}{vague}."
 
 
 def _poses(calibration: Calibration) -> str:

@@ -56,7 +56,7 @@ def build_parser() -> Parser:
     """Return the parser with all subcommands."""
     parser = Parser(
         prog="beamfield",
-        description="See when and where a robot gets lost in its map, and calibrate its sensor and its AMCL from a log.",
+        description="See when and where a robot gets lost in its map, and calibrate its sensor and AMCL from a log.",
         epilog="Exit codes: 0 done; 1 bad input, or doctor found a problem; 2 wrong usage; 3 too little data, not "
         "converged, or a result not to be trusted; 70 an error in beamfield itself.",
     )

@@ -91,7 +91,8 @@ def _draw(axes: Axes, found: ChangedPlaces) -> None:
                 axes.add_collection(patches)
         if places:
             label = f"{kind}: {len(places)}" + (" (pale)" if pale else "")
-            axes.scatter([], [], s=70, marker="s", label=label, **_look(kind, LASTING["short"] if pale else kind))
+            look = _look(kind, LASTING[places[0].reading] if pale else kind)
+            axes.scatter([], [], s=70, marker="s", label=label, **look)
 
 
 def _look(kind: Kind, colour_of: Kind) -> dict[str, Any]:

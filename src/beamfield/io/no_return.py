@@ -161,7 +161,8 @@ def _drop_impossible(z: FloatArray, mask: NDArray[np.bool_], notes: list[str]) -
     """Make readings <= 0 that do not mean "no return" no measurements."""
     impossible = (z <= 0.0) & (z > -np.inf) & ~mask
     if impossible.any():
-        notes.append(f"{np.mean(impossible):.2%} of the readings are 0 or negative: taken as no measurement")
+        count = np.count_nonzero(impossible)
+        notes.append(f"{count:,} of {z.size:,} readings are 0 or negative: taken as no measurement")
         z[impossible] = np.nan
 
 

@@ -99,9 +99,9 @@ def test_missing_files_and_other_folders(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"poses_topic": "/pose"}, "poses_topic: expected None for a text log"),
-        ({"map_frame": "map"}, "map_frame: expected None"),
-        ({"base_frame": "base"}, "base_frame: expected None"),
+        ({"poses_topic": "/pose"}, "poses_topic: is for bags; .* is text"),
+        ({"map_frame": "map"}, "map_frame: is for bags"),
+        ({"base_frame": "base"}, "base_frame: is for bags"),
         ({"min_range": -1.0}, "min_range: expected a finite number"),
         ({"max_range": float("nan")}, "max_range: expected a finite number"),
         ({"no_return": "maybe"}, "expected 'detect', 'none'"),

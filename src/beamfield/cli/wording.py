@@ -28,6 +28,7 @@ _LEADING = {
     "headings": "--headings",
     "hit": "--hit",
     "model": "--model",
+    "mount": "--mount",
     "passed": "--passed",
     "resolution": "--resolution",
     "roughness": "--roughness",

@@ -122,7 +122,7 @@ def read_log(
     for name, value in bag_only.items():
         if value is not None:
             raise InvalidInputError(
-                f"{name}: expected None for a text log, which has no topics or frames; got {value!r}"
+                f"{name}: is for bags; {source} is text, has no topics or frames, and says where the sensor is"
             )
     asked = (sensor_topic,) if isinstance(sensor_topic, str) else None if sensor_topic is None else tuple(sensor_topic)
     options = TextOptions(asked, stamps=stamps, lone_poses=lone_poses, **limits)

@@ -151,8 +151,8 @@ def _finding(
         "laser-mount", "warning", f"Scans and odometry agree if the laser {', and '.join(said)}.",
         {"ahead_m": ahead, "left_m": aside, "turn_rad": turned},
         why="With a wrong mount poses are off by as much, and the odometry pulls any filter off the scans.",
-        do=f"Correct the laser's transform (URDF, /tf_static){or_odometry}; for this log, give the mount with --mount "
-        "X Y YAW.",
+        do=f"Correct the laser's transform (URDF, /tf_static){or_odometry}; for bags that have it, "
+        "give the mount with --mount X Y YAW.",
     )  # fmt: skip
 
 

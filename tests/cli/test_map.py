@@ -136,10 +136,10 @@ def test_a_log_without_hits_makes_no_map(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["blind.log"]
 
 
-@pytest.mark.parametrize("command", ["calibrate", "map"])
-def test_of_several_sensors_one_is_to_be_chosen(tmp_path, capsys, command):
+@pytest.mark.parametrize(("command", "out"), [("calibrate", "out"), ("map", "out.yaml")])
+def test_of_several_sensors_one_is_to_be_chosen(tmp_path, capsys, command, out):
     log = tmp_path / "two.log"
     log.write_text("".join(f"{name} 3 1 2 3 0 0 0 0 0 0 1 host 1\n" for name in ("FLASER", "RLASER")))
-    assert main([command, str(log), "--quiet", "--out", str(tmp_path / "out.yaml")]) == 1
+    assert main([command, str(log), "--quiet", "--out", str(tmp_path / out)]) == 1
     expected = "two.log: expected one sensor, the log has 'FLASER', 'RLASER': choose with --sensor\n"
     assert capsys.readouterr().err.endswith(expected)

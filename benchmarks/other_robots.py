@@ -25,18 +25,19 @@ from scipy import ndimage
 
 from beamfield.cli.demo import DEFAULTS
 from beamfield.cli.main import main as beamfield
-from beamfield.geometry import between, chained, compose, wrap_angle
+from beamfield.geometry import between, chained, compose, interpolate_poses, wrap_angle
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_map import read_map
 from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.ray_agreement import scan_agreement
+from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, ScanLog, Track
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.floor_plan import draw_floor_plan
-from beamfield.simulation.log import simulate_log
+from beamfield.simulation.log import drawn_readings, simulate_log
 from beamfield.simulation.odometry import OdometryNoise
 from beamfield.simulation.trajectory import DriveOptions
 from beamfield.stacks.files.filter_file import read_filter_settings
@@ -49,6 +50,7 @@ WORN = OdometryNoise(0.02, 0.02, 0.03, 0.02, 0.03)
 # Share of the small things (up to 2 m2) that are still there, and boxes of 0.3 to 1.2 m that the map does not show.
 MAPS = {"right": None, "half moved": (0.5, 40), "most moved": (0.2, 100)}
 SMALL, BOX, WALLS, SMOOTH = 2.0, (0.3, 1.2), 0.03, 2.0
+DEPENDENCE = Dependence(np.radians(4.0), 1.0)
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,9 @@ class Laser:
     """By how much the odometry turns wrongly between two scans in the middle of a drive."""
     sideways: bool = False
     """Whether the robot moves to its left; the laser is in its middle then."""
+    stamped_at: float | None = None
+    """Where in its sweep, from one scan to the next, a scan is stamped: 0 at the first beam, 0.5 midway; None: all
+    beams are measured at once."""
 
     def drive(self, world: OccupancyGrid, seconds: float, seed: int) -> ScanLog:
         """Return a log with exact poses."""
@@ -74,10 +79,23 @@ class Laser:
         )
         log = simulate_log(
             world, finder, self.truth, duration=seconds, scan_rate=self.rate, seed=seed, odometry_noise=self.wheels,
-            drive=DriveOptions(speed=0.6), dependence=Dependence(np.radians(4.0), 1.0),
+            drive=DriveOptions(speed=0.6), dependence=DEPENDENCE,
         )  # fmt: skip
         log = log if self.slip_deg == 0.0 else slipped(log, np.radians(self.slip_deg))
+        log = log if self.stamped_at is None else self.swept(log, world, seed)
         return turned_right(log) if self.sideways else log
+
+    def swept(self, log: ScanLog, world: OccupancyGrid, seed: int) -> ScanLog:
+        """Return a log whose beams are measured one after the other."""
+        sensor, caster = log.only_sensor(), RayCaster(world, unknown="free")
+        stamps, finder = sensor.stamps, sensor.finder
+        expected = np.empty_like(sensor.ranges)
+        for j, mount in enumerate(finder.mounts):
+            times = stamps + (j / finder.n_beams - self.stamped_at) / self.rate
+            poses = interpolate_poses(stamps, sensor.poses, times.clip(stamps[0], stamps[-1]))
+            expected[:, j] = caster.expected_ranges(poses, replace(finder, mounts=mount[None]))[:, 0]
+        ranges = drawn_readings(expected, finder, self.truth, np.random.default_rng(seed), stamps, DEPENDENCE)
+        return replace(log, sensors=dict.fromkeys(log.sensors, replace(sensor, ranges=ranges)))
 
 
 def slipped(log: ScanLog, turn: float) -> ScanLog:
@@ -145,6 +163,8 @@ OTHERWISE: dict[str, dict[str, Any]] = {
     "laser turned by 180 degrees": {"laser": replace(USUAL, bearings=(0.0, 359.0, 360))},
     "odometry slips by 20 degrees": {"laser": replace(USUAL, slip_deg=20.0)},
     "wheels three times as worn": {"laser": replace(USUAL, wheels=OdometryNoise(0.06, 0.06, 0.09, 0.06, 0.09))},
+    "scans of 0.2 s, stamped at the first beam": {"laser": replace(USUAL, stamped_at=0.0)},
+    "scans of 0.2 s, stamped midway": {"laser": replace(USUAL, stamped_at=0.5)},
     "moves sideways": {"laser": replace(USUAL, sideways=True), "file": File(text=DEFAULTS)},
     "moves sideways, OmniMotionModel": {"laser": replace(USUAL, sideways=True), "file": File(text=DEFAULTS + OMNI)},
     "wheels nearly perfect": {"laser": replace(USUAL, wheels=OdometryNoise(0.001, 0.0005, 0.001, 0.0005, 0.0005))},

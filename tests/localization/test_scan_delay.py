@@ -56,9 +56,30 @@ def test_a_delay_is_measured_and_has_a_sign(tour: SensorLog, seconds: float):
     assert f"shifted by {sign}{abs(found.values['delay_s']):.2f} s" in found.text
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.1, -0.1])
-def test_good_stamps_and_small_delays_are_not_named(tour: SensorLog, seconds: float):
-    assert scan_delay(stamped_late(tour, seconds)) is None
+def test_good_stamps_are_not_named(tour: SensorLog):
+    assert scan_delay(tour) is None
+
+
+def test_a_small_delay_is_named_with_what_it_costs(tour: SensorLog, office: OccupancyGrid):
+    late = stamped_late(tour, -0.1)
+    fit = fit_trajectory(late, office, start=tour.poses[0])
+    (found,) = (one for one in fit.findings if one.name == "small-scan-delay")
+    assert found.severity == "info"
+    assert found.values["delay_s"] == pytest.approx(-0.1, abs=0.03)
+    size = abs(found.values["delay_s"])
+    assert "At this drive's 0.99 m/s" in found.text
+    assert f"poses are {0.99 * size:.2f} m and " in found.text
+    assert f"move the stamps by {size:+.2f} s" in found.do
+
+
+@pytest.mark.parametrize("seconds", [0.1, -0.1])
+def test_a_trajectory_that_is_not_found_is_not_blamed_on_a_small_delay(
+    tour: SensorLog, office: OccupancyGrid, monkeypatch: pytest.MonkeyPatch, seconds: float
+):
+    refused = Mock(side_effect=TrajectoryNotFoundError("no trajectory through this map fits the log"))
+    monkeypatch.setattr("beamfield.localization.trajectory.choose_course", refused)
+    with pytest.raises(TrajectoryNotFoundError, match=r"fits the log$"):
+        fit_trajectory(stamped_late(tour, seconds), office)
 
 
 def test_a_wrong_sign_of_the_turns_is_no_delay(tour: SensorLog):

@@ -22,11 +22,13 @@ FEWEST_PAIRS, LONGEST_STEP = 60, 0.35
 TURNING, NEAR = 0.1, 0.5
 # Delays that are tried, and their step, seconds.
 REACH, STEP = 2.0, 0.02
+# The robot stands still if it moves no further from scan to scan, metres.
+LEAST_STEP = 0.001
 # Radians by which an alignment that failed or a wheel that slipped counts at most.
 OUTLIER = 0.1
-# From here on it is named, seconds: one of 0.15 s is mostly measured as 0.14 or 0.16 s. Of the real logs that are known
-# to be good some are up to 0.10 s off.
-LEAST_DELAY = 0.13
+# From here on it is a fault, seconds: one of 0.15 s is mostly measured as 0.14 or 0.16 s. Half the time that a scanner
+# takes for a scan is up to 0.1 s, which is named from the second number on.
+LEAST_DELAY, SMALL_DELAY = 0.13, 0.05
 # Squares of the differences in turning that the delay has to explain; and what may be left of those of the turning, and
 # of what the median delay leaves. Robots that turn evenly do so at any delay: 0.57 or more is left, elsewhere 0.44.
 EXPLAINED, LEFT, SHARP = 0.35, 0.25, 0.5
@@ -49,7 +51,8 @@ def scan_delay(log: SensorLog, fitted: FloatArray | None = None) -> Finding | No
     """Look for a delay between the stamps of scans and odometry, in how each of them turns.
 
     Return the warning "scan-delay" if one delay of 0.15 s or more makes the turns agree, or two that differ so much,
-    before and after a jump; else None, also where the robot hardly turns, scans are too rare, or odometry is missing.
+    before and after a jump; "small-scan-delay", which is no fault, if one of 0.05 s or more does; else None, also where
+    the robot hardly turns, or evenly, scans are too rare, or odometry is missing.
 
     Neighbouring scans are aligned where the robot turns, which needs neither map nor poses. Poses (t, 3) that were
     fitted to scans and odometry tell less: they lie between both, and show half of the delay or less, but cost nothing.
@@ -67,11 +70,18 @@ def scan_delay(log: SensorLog, fitted: FloatArray | None = None) -> Finding | No
     if len(turns) < FEWEST_PAIRS:
         return None
     found = _best_shift(turns, log.stamps[pairs], log.stamps[pairs + 1], stamps, headings)
-    if not found.fits or found.explained < EXPLAINED or max(abs(found.delay), abs(found.before)) < LEAST_DELAY:
+    if not found.fits or found.explained < EXPLAINED:
         return None
-    if found.jump:
-        return _jump_finding(found, float(log.stamps[pairs[found.jump]] - log.stamps[0]))
-    return _finding(found, len(turns))
+    if max(abs(found.delay), abs(found.before)) >= LEAST_DELAY:
+        if found.jump:
+            return _jump_finding(found, float(log.stamps[pairs[found.jump]] - log.stamps[0]))
+        return _finding(found, len(turns))
+    if found.jump or abs(found.delay) < SMALL_DELAY:
+        return None
+    rates = turns / (log.stamps[pairs + 1] - log.stamps[pairs])
+    return _small_finding(
+        found, len(turns), _usual_speed(stamps, log.odometry[known]), float(np.sqrt((rates**2).mean()))
+    )
 
 
 def _is_hinted(times: FloatArray, fitted: FloatArray, stamps: FloatArray, headings: FloatArray) -> bool:
@@ -150,6 +160,28 @@ def _finding(found: _Shift, n_pairs: int) -> Finding:
         "any filter on this robot suffers from it.",
         do="Compare the clocks of scanner and base (NTP, chrony), and what the scanner's driver stamps; set its time "
         "offset, and record again.",
+    )
+
+
+def _usual_speed(stamps: FloatArray, odometry: FloatArray) -> float:
+    """Return the median speed of a robot while it moves, metres per second."""
+    way = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
+    moves = (way > LEAST_STEP) & (np.diff(stamps) > 0.0)
+    return float(np.median(way[moves] / np.diff(stamps)[moves])) if moves.any() else 0.0
+
+
+def _small_finding(found: _Shift, n_pairs: int, speed: float, rate: float) -> Finding:
+    size, turn = abs(found.delay), np.degrees(rate)
+    return Finding(
+        "small-scan-delay",
+        "info",
+        f"The scans are stamped {_beside(found.delay)} the odometry ({n_pairs} pairs of scans). At this drive's "
+        f"{speed:.2f} m/s, and {turn:.0f} degrees/s in turns, poses are {speed * size:.2f} m and {turn * size:.1f} "
+        "degrees off.",
+        {"delay_s": found.delay, "explained": found.explained, "pairs": float(n_pairs)},
+        why="A filter takes the odometry of the stamp. Half the time that a scanner takes for a scan is such a delay.",
+        do=f"If that is too much, move the stamps by {-found.delay:+.2f} s: a time offset of the scanner's driver, or "
+        "a node in between.",
     )
 
 

@@ -202,7 +202,7 @@ def find_course(
         found = choose_course(log, grid, drive, walls_of(grid), initial, report)
     except TrajectoryNotFoundError as error:
         wrong = (mount_of_scans(log) or scan_delay(log)) if log.has_odometry else None
-        if wrong is None:
+        if wrong is None or wrong.severity == "info":
             raise
         raise TrajectoryNotFoundError(f"{error}. {wrong.text} {wrong.do}") from error
     return found if log.has_odometry else found._replace(findings=(_no_odometry(), *found.findings))
@@ -236,6 +236,8 @@ def fit_course(
     # Where poses seem to slip they may show no delay, as after a jump of a clock; the scans themselves do.
     slips = any(one.name == "wheel-slip" for one in seen)
     late = scan_delay(log, None if slips else fitted.poses) if log.has_odometry else None
+    if late is not None and late.severity == "info":
+        more, late = [*more, late], None
     wrong = late or (mount_of_fit(log, fitted.poses) if log.has_odometry else None)
     before = list(found.findings)
     if wrong is not None:

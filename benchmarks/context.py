@@ -145,8 +145,7 @@ def models_of(place: Place) -> dict[str, BeamModel | LikelihoodFieldModel]:
 
 
 def options_of(place: Place, windows: int = MANY) -> WindowOptions:
-    error = place.reference_error
-    return WindowOptions(reference_error=error, reference_turn_error=error / 4.0, windows=windows)
+    return WindowOptions(reference_error=place.reference_error, windows=windows)
 
 
 def coverage(chosen: Sequence[str]) -> list[dict[str, Any]]:

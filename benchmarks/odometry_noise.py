@@ -34,7 +34,7 @@ from tables import print_table
 
 STEPS = 300
 REFERENCE = np.array([0.02, 0.02, 0.005])
-OPTIONS = OdometryOptions(update_min_d=0.0, update_min_a=0.0, reference_error=0.02, reference_turn_error=0.005)
+OPTIONS = OdometryOptions(update_min_d=0.0, update_min_a=0.0, reference_error=0.02)
 LASER = RangeFinder.from_bearings([0.0], max_range=8.0)
 ALPHAS = ((0.005,) * 4, (0.02,) * 4, (0.05,) * 4, (0.2,) * 4, (0.05, 0.05, 0.01, 0.01), (0.1, 0.01, 0.02, 0.05))
 

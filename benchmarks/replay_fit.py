@@ -83,7 +83,7 @@ def choose(stack: str, model: str, place: Place, *, any_model: bool) -> tuple[Re
     amount = replay_options(before, place.log, 0)
     stretches = cut_segments(place.log, *before.update_distances, most=amount.most_stretches, longest=amount.longest)
     choice = choose_by_replay(
-        before, sensors, motion_candidates(before, place.log, place.error, place.error / 4.0),
+        before, sensors, motion_candidates(before, place.log, place.error),
         0.5 * place.grid.resolution if described.half_cell_low else 0.0, stretches, place.grid, amount,
     )  # fmt: skip
     return choice, time.process_time() - began
@@ -96,7 +96,7 @@ def fit_model(stack: str, model: str, place: Place) -> StackFit:
     if not described.model(model).weight.of_field:
         learned = calibrate(place.scans, place.grid, CalibrationOptions(refine=False))
         chapter = next(form.result.parameters for form in learned.candidates if form.is_chapter)
-    options = WindowOptions(reference_error=place.error, reference_turn_error=place.error / 4.0)
+    options = WindowOptions(reference_error=place.error)
     fit = fit_stack(
         stack, model, place.scans, place.grid, start=described.start(model), beam_parameters=chapter, options=options
     )

@@ -55,7 +55,7 @@ def rows(folder: Path, name: str, stacks: Iterable[str]) -> list[dict[str, Any]]
     """Return one row per stack, model, parameters and log."""
     logs = [(title, *_read(folder, *paths)) for title, *paths in SETS[name]]
     error = REFERENCE_ERROR.get(name, 0.04)
-    options = WindowOptions(reference_error=error, reference_turn_error=error / 4.0)
+    options = WindowOptions(reference_error=error)
     _, log, grid = logs[0]
     learned = calibrate(log, grid, CalibrationOptions(refine=False))
     chapter = next(form.result.parameters for form in learned.candidates if form.name == "chapter")

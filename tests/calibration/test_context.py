@@ -162,7 +162,7 @@ def test_a_window_that_no_pose_explains_has_no_gradient(windows):
 def test_a_wrong_sigma_is_mended_in_context(drive, office):
     """The start is four times too wide; the steps that are kept do better where nothing was learned."""
     start = LikelihoodFieldModel(office, LikelihoodFieldParameters(0.8, 0.15, 0.4), n_beams=20)
-    options = WindowOptions(reference_error=0.02, reference_turn_error=0.005, near=200, far=50)
+    options = WindowOptions(reference_error=0.02, near=200, far=50)
     learned = learn_in_context(start, drive, office, options=options)
     independent, exponent_only, in_context = learned.held_out
     assert learned.steps > 0

@@ -25,7 +25,7 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 from beamfield.stacks.registry import STACKS
 
-EVERY_SCAN = OdometryOptions(update_min_d=0.0, update_min_a=0.0, reference_error=0.02, reference_turn_error=0.005)
+EVERY_SCAN = OdometryOptions(update_min_d=0.0, update_min_a=0.0, reference_error=0.02)
 LASER = RangeFinder.from_bearings([0.0], max_range=8.0)
 
 

@@ -90,7 +90,7 @@ def test_dispersions_are_recovered_from_a_log():
         odometry.append(compose(odometry[-1], [0.1, 0.0, turn]))
         poses.append(model.sample(poses[-1][None], odometry[-2:], rng)[0])
     log = SensorLog(RangeFinder.from_bearings([0.0], 8.0), np.arange(301.0), np.ones((301, 1)), poses, odometry)
-    options = OdometryOptions(0.0, 0.0, reference_error=1e-3, reference_turn_error=1e-3)
+    options = OdometryOptions(0.0, 0.0, reference_error=1e-3)
     found = dispersions(calibrate_odometry(log, options))
     assert found["motion_dispersion_x"] == found["motion_dispersion_y"] == pytest.approx(0.04, rel=0.2)
     assert found["motion_dispersion_theta"] == pytest.approx(0.03, rel=0.2)

@@ -26,7 +26,7 @@ from beamfield.stacks.registry import STACKS, build_model, model_named, paramete
 from tests.conftest import TRUTH
 
 # The simulated reference is exact.
-EXACT = WindowOptions(windows=45, near=150, far=40, reference_error=0.01, reference_turn_error=0.003)
+EXACT = WindowOptions(windows=45, near=150, far=40, reference_error=0.01)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Gaussian(StackModel):
     def evidence(self, z, poses):
         robot = as_poses(poses).reshape(-1, 3)
         fix = self.centres[z.stamp]
-        return _Squares(np.arange(1), 1.0, np.square(between(fix, robot) / (1.0, 1.0, 0.4)).sum(axis=1))
+        return _Squares(np.arange(1), 1.0, np.square(between(fix, robot) / (1.0, 1.0, 0.25)).sum(axis=1))
 
     def log_weights(self, evidence, parameters=None):
         sigma = self.parameters if parameters is None else parameters
@@ -62,13 +62,12 @@ def fixes(drive, errors):
 
 
 def test_the_score_is_best_and_coverage_right_for_a_calibrated_posterior(drive, office):
-    options = WindowOptions(scans=1, windows=400, travel=0.0, near=800, far=40, reference_error=0.005,
-                            reference_turn_error=0.002)  # fmt: skip
+    options = WindowOptions(scans=1, windows=400, travel=0.0, near=800, far=40, reference_error=0.005)
     rivals = draw_rivals(options, office)
     windows = cut_windows(drive, office, rivals, options)
     rng = np.random.default_rng(8)
     truth = 0.06
-    model = Gaussian(truth, fixes(drive, rng.normal(0.0, (truth, truth, 0.4 * truth), (len(drive), 3))))
+    model = Gaussian(truth, fixes(drive, rng.normal(0.0, (truth, truth, 0.25 * truth), (len(drive), 3))))
     evidence = gather_evidence(model, drive, windows)
     sigmas = (0.02, 0.04, 0.06, 0.09, 0.2)
     scores = dict(zip(sigmas, score_windows(model, evidence, sigmas, rivals), strict=True))
@@ -83,7 +82,7 @@ def test_the_score_is_best_and_coverage_right_for_a_calibrated_posterior(drive, 
 
 def test_a_posterior_need_not_be_surer_than_the_reference_is(drive, office):
     # The reference comes from the same scans, so that they agree with it better than with the truth.
-    options = WindowOptions(scans=1, windows=100, travel=0.0, near=800, far=0, reference_turn_error=0.016)
+    options = WindowOptions(scans=1, windows=100, travel=0.0, near=800, far=0)
     rivals = draw_rivals(options, office)
     windows = cut_windows(drive, office, rivals, options)
     model = Gaussian(0.04, fixes(drive, np.zeros((len(drive), 3))))
@@ -97,7 +96,7 @@ def test_scores_are_those_of_normal_distributions(drive, office):
     options = WindowOptions(scans=1, windows=20, near=4000, far=0)
     rivals = draw_rivals(options, office)
     windows = cut_windows(drive, office, rivals, options)
-    fix, widths = np.array([0.05, -0.08, 0.02]), np.array([0.1, 0.1, 0.04])
+    fix, widths = np.array([0.05, -0.08, 0.02]), np.array([0.1, 0.1, 0.025])
     model = Gaussian(0.1, fixes(drive, np.tile(fix, (len(drive), 1))))
     (scores,) = score_windows(model, gather_evidence(model, drive, windows), [0.1], rivals)
     at_truth = norm.logpdf(rivals.offsets[:20], fix, widths).sum(axis=1)

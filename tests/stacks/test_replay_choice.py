@@ -229,7 +229,7 @@ def test_a_short_drive_is_too_little(drive):
 
 
 def test_motion_candidates_are_the_logs_and_common_alphas(drive):
-    found = motion_candidates(nav2_filter(), drive, 0.01, 0.003).by_name
+    found = motion_candidates(nav2_filter(), drive, 0.01).by_name
     assert found["before"] == {}
     assert found["alpha 0.1"] == {f"alpha{i}": 0.1 for i in range(1, 5)}
     assert list(found["alphas 0.2 and 0.02"].values()) == [0.2, 0.2, 0.02, 0.02]
@@ -239,7 +239,7 @@ def test_motion_candidates_are_the_logs_and_common_alphas(drive):
 
 def test_where_alphas_mean_something_else_they_stand_for_the_same_noise(drive):
     settings = FilterSettings("ros1", KIND, None, Ros1Motion(), AmclFilterParameters())
-    found = motion_candidates(settings, drive, 0.01, 0.003).by_name
+    found = motion_candidates(settings, drive, 0.01).by_name
     literal = {name: values["odom_alpha3"] for name, values in found.items() if name.startswith("alpha")}
     # A deviation of alpha x step^2 instead of sqrt(alpha) x step: ten times the alpha at steps of 0.3 m or so.
     assert literal["alpha 0.1"] > literal["alpha 0.05"] > 0.2
@@ -254,7 +254,7 @@ def test_programs_without_alphas_get_as_much_noise_in_their_own_names(drive):
         settings = FilterSettings(stack, "", None, motion, particles)
         assert settings.update_distances == (0.0, 0.0)
         assert len(settings.at_ticks(drive)) < len(drive) or stack == "f1tenth"
-        found[stack] = motion_candidates(settings, drive, 0.01, 0.003).by_name
+        found[stack] = motion_candidates(settings, drive, 0.01).by_name
         assert found[stack].keys() >= {"before", "learned", "alpha 0.1"}
     assert found["mrpt"]["alpha 0.1"]["a1"] > found["mrpt"]["alpha 0.05"]["a1"] > 0.0
     assert found["f1tenth"]["learned"]["motion_dispersion_theta"] < 0.25
@@ -262,7 +262,7 @@ def test_programs_without_alphas_get_as_much_noise_in_their_own_names(drive):
 
 def test_a_motion_model_without_alphas_stays(drive):
     settings = FilterSettings("beluga", KIND, None, BelugaMotion("stationary"), AmclFilterParameters())
-    assert motion_candidates(settings, drive, 0.01, 0.003) == ({"before": {}}, None)
+    assert motion_candidates(settings, drive, 0.01) == ({"before": {}}, None)
 
 
 def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office, monkeypatch):
@@ -399,10 +399,10 @@ def test_safe_noise_is_twice_what_the_log_shows_but_not_twice_the_floor(drive):
     for step in range(1, len(drive)):
         poses.append(DifferentialMotion(0.5, 0.5, 0.0, 0.0).sample(poses[-1], drive.odometry[step - 1 : step + 1], rng))
     turning = replace(drive, poses=np.concatenate(poses))
-    options = OdometryOptions(reference_error=0.01, reference_turn_error=0.003)
+    options = OdometryOptions(reference_error=0.01)
     for log in (drive, turning):
         shown = calibrate_odometry(log, options).chosen.model
-        by_name, safe = motion_candidates(nav2_filter(), log, 0.01, 0.003)
+        by_name, safe = motion_candidates(nav2_filter(), log, 0.01)
         learned, twice = ({name: max(0.02, n * getattr(shown, name)) for name in GOOD} for n in (1.0, 2.0))
         assert by_name["learned"] == pytest.approx(learned, rel=0.02)  # written with three digits
         assert safe == pytest.approx(twice, rel=0.02)

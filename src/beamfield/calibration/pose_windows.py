@@ -47,10 +47,10 @@ class WindowOptions:
         Number of poses around the reference and elsewhere on the map that compete.
     spread, turn_spread
         The prior around the reference: standard deviations in metres (each axis) and radians.
-    reference_error, reference_turn_error
-        How wrong the reference poses themselves may be: standard deviations in metres (each axis) and radians. No
-        posterior pays that is surer of the reference than this: references often come from the same scans, so that
-        agreement with them proves nothing below it.
+    reference_error
+        How wrong the reference poses themselves may be: standard deviation in metres (each axis), and by
+        `REFERENCE_LEVER` in radians. No posterior pays that is surer of the reference than this: references often come
+        from the same scans, so that agreement with them proves nothing below it.
     seed
         Of the poses.
 
@@ -69,14 +69,13 @@ class WindowOptions:
     spread: float = 0.25
     turn_spread: float = 0.1
     reference_error: float = 0.04
-    reference_turn_error: float = 0.01
     seed: int = 0
 
     def __post_init__(self) -> None:
         for name, least in (("scans", 1), ("windows", 2), ("near", 2 * N_GUESSES), ("far", 0)):
             if getattr(self, name) < least:
                 raise InvalidInputError(f"{name}: expected at least {least}, got {getattr(self, name)}")
-        for name in ("spread", "turn_spread", "reference_error", "reference_turn_error"):
+        for name in ("spread", "turn_spread", "reference_error"):
             require(0.0 < getattr(self, name) < np.inf, name, "a positive number", getattr(self, name))
         for name in ("travel", "turn"):
             require(0.0 <= getattr(self, name) < np.inf, name, "a number >= 0", getattr(self, name))
@@ -158,7 +157,7 @@ def draw_rivals_of_each(options: WindowOptions, grid: OccupancyGrid) -> list[Riv
 
 def _draw_rivals(options: WindowOptions, grid: OccupancyGrid, rng: np.random.Generator) -> Rivals:
     widths = np.array([options.spread, options.spread, options.turn_spread])
-    error = np.array([options.reference_error, options.reference_error, options.reference_turn_error])
+    error = reference_deviations(options.reference_error)
     truths = _normal_points(rng) * error
     scales = np.append(np.geomspace(0.005 / options.spread, 1.0, 16), np.full(8, 1.5))
     chosen = scales[rng.permutation(np.arange(options.near - N_GUESSES) % len(scales))]
@@ -254,6 +253,11 @@ def _anywhere(grid: OccupancyGrid, free: NDArray[np.int64], n: int, rng: np.rand
     within = (free[rng.integers(0, len(free), n), ::-1] + rng.random((n, 2))) * grid.resolution
     local = np.column_stack([within, rng.uniform(-np.pi, np.pi, n)])
     return compose(grid.origin, local)
+
+
+def reference_deviations(reference_error: float) -> FloatArray:
+    """Return the standard deviations (3,) of a reference pose, metres and radians, for that of each axis."""
+    return np.array([reference_error, reference_error, reference_error / REFERENCE_LEVER])
 
 
 def _normal_points(rng: np.random.Generator) -> FloatArray:

@@ -21,13 +21,11 @@ def learn_odometry(job: CalibrationJob, sensor: SensorLog) -> tuple[ReportPart, 
     """Calibrate the odometry; return the part of the report, and values for the file of the stack asked for."""
     from beamfield.calibration.odometry.learning import calibrate_odometry
     from beamfield.calibration.odometry.result import OdometryOptions
-    from beamfield.calibration.pose_windows import REFERENCE_LEVER
     from beamfield.report.odometry_section import ANCHOR, TITLE, odometry_as_dict, odometry_section, odometry_tables
     from beamfield.report.page_section import PageSection
 
     job.progress("calibrating the odometry", 0, 1)
-    error = job.arguments.reference_error
-    options = OdometryOptions(reference_error=error, reference_turn_error=error / REFERENCE_LEVER)
+    options = OdometryOptions(reference_error=job.arguments.reference_error)
     try:
         result = calibrate_odometry(sensor, options)
     except TooLittleDataError as missing:

@@ -30,7 +30,6 @@ def replay_fit(
     Returns the decision, or none and why nothing was replayed. `others` are fits of other models of the stack.
     `learned` is the motion noise that was asked for with --odometry-noise: it is then the only other one.
     """
-    from beamfield.calibration.pose_windows import REFERENCE_LEVER
     from beamfield.stacks.fit.kept_runs import kept_runs
     from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED, motion_candidates
     from beamfield.stacks.fit.replay_choice import choose_by_replay, replay_options
@@ -47,9 +46,8 @@ def replay_fit(
         stretches = cut_segments(sensor, *before.update_distances, most=most, longest=longest)
     except (FormatError, TooLittleDataError) as problem:  # a value that only the filter reads, or a short drive
         return None, str(problem)
-    error = job.arguments.reference_error
     job.progress("replay: looking at the odometry", 0, 1)
-    motions = motion_candidates(before, sensor, error, error / REFERENCE_LEVER)
+    motions = motion_candidates(before, sensor, job.arguments.reference_error)
     if learned:
         motions = motions._replace(by_name={BEFORE: {}, LEARNED: learned})
     sensors = {BEFORE: (fit.model.model, fit.before.parameters)}

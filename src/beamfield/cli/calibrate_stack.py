@@ -219,12 +219,9 @@ def _fit_of(fits: Sequence[StackFit], model: str) -> StackFit:
 
 
 def _window_options(job: CalibrationJob) -> WindowOptions:
-    from beamfield.calibration.pose_windows import REFERENCE_LEVER, WindowOptions
+    from beamfield.calibration.pose_windows import WindowOptions
 
-    error = job.arguments.reference_error
-    return WindowOptions(
-        reference_error=error, reference_turn_error=error / REFERENCE_LEVER, seed=job.arguments.seed
-    )  # fmt: skip
+    return WindowOptions(reference_error=job.arguments.reference_error, seed=job.arguments.seed)
 
 
 def write_patch(file: StackFile, fitted: StackPart) -> tuple[str, Path | None]:

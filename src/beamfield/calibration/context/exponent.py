@@ -14,12 +14,12 @@ from beamfield.calibration.context.posterior_judge import PosteriorScores, judge
 from beamfield.calibration.evaluation import block_standard_error
 from beamfield.calibration.pose_windows import (
     HELD_OUT,
-    REFERENCE_LEVER,
     Rivals,
     Window,
     WindowOptions,
     cut_windows,
     draw_rivals_of_each,
+    reference_deviations,
     window_block_s,
 )
 from beamfield.calibration.selection import SelectionOptions
@@ -156,9 +156,7 @@ def learn_exponent(
     ----------
     Probabilistic Robotics, section 6.3.4.
     """
-    options = WindowOptions(
-        reference_error=reference_error, reference_turn_error=reference_error / REFERENCE_LEVER, seed=seed
-    )
+    options = WindowOptions(reference_error=reference_error, seed=seed)
     length = window_block_s(log, grid, options, selection) if block_s is None else block_s
     windows = cut_windows(log, grid, draw_rivals_of_each(options, grid), options, selection, length)
     values = scan_log_likelihoods(model, log, windows)
@@ -257,7 +255,7 @@ def _learn(
     covered = each.mean(axis=2)
     power = suited_exponent(covered.mean(axis=1))
     # The guesses at the truth that lie next to the reference.
-    error = (options.reference_error, options.reference_error, options.reference_turn_error)
+    error = reference_deviations(options.reference_error)
     truths = np.array([np.square(own.offsets[: each.shape[2]] / error).sum(axis=1) for own in of_fitted])
     nearest = np.argsort(truths, axis=1)[:, :N_NEAREST]
     exact = suited_exponent(np.take_along_axis(each, nearest[None], axis=2).mean(axis=(1, 2)))

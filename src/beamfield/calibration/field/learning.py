@@ -25,7 +25,6 @@ from beamfield.calibration.field.axis_table import AxisTable, build_axis_table
 from beamfield.calibration.field.findings import density_findings, exponent_findings
 from beamfield.calibration.pose_windows import (
     HELD_OUT,
-    REFERENCE_LEVER,
     Window,
     WindowOptions,
     cut_windows,
@@ -197,9 +196,7 @@ def learn_field_parameters(
     """
     require(n_beams >= 1, "n_beams", "at least 1", n_beams)
     n_beams = min(n_beams, log.finder.n_beams)
-    options = WindowOptions(
-        reference_error=reference_error, reference_turn_error=reference_error / REFERENCE_LEVER, seed=seed
-    )
+    options = WindowOptions(reference_error=reference_error, seed=seed)
     length = window_block_s(log, grid, options, selection) if block_s is None else block_s
     blocks = time_blocks(log.stamps, length)
     held_out = of_held_out(blocks)

@@ -34,6 +34,7 @@ from beamfield.calibration.odometry.result import (
 )
 from beamfield.calibration.odometry.systematic import systematic_errors
 from beamfield.calibration.odometry.windows import SYSTEMATIC, OdometryWindows, cut_odometry_windows, update_scans
+from beamfield.calibration.pose_windows import reference_deviations
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.models.differential_motion import DifferentialMotion
@@ -106,7 +107,7 @@ def calibrate_odometry(
     ...     poses.append(DifferentialMotion(0.01, 0.01, 0.01, 0.01).sample(poses[-1][None], odometry[-2:], rng)[0])
     >>> laser = RangeFinder.from_bearings([0.0], max_range=8.0)
     >>> log = SensorLog(laser, np.arange(n + 1.0), np.ones((n + 1, 1)), poses, odometry)
-    >>> exact = OdometryOptions(update_min_d=0.0, update_min_a=0.0, reference_error=1e-4, reference_turn_error=1e-4)
+    >>> exact = OdometryOptions(update_min_d=0.0, update_min_a=0.0, reference_error=1e-4)
     >>> result = calibrate_odometry(log, exact)
     >>> alpha = result.candidates[1].levels[0]
     >>> alpha.low < 0.01 < alpha.high, result.alphas.alpha3  # advised is the floor
@@ -283,7 +284,7 @@ def _by_length(cut: Callable[[int], OdometryWindows]) -> tuple[tuple[int, float]
 def _pose_covariances(log: SensorLog, covariances: ArrayLike | None, options: OdometryOptions) -> FloatArray:
     """Return the covariance of each pose (t, 3, 3): as given, or the same for all."""
     if covariances is None:
-        deviations = np.array([options.reference_error, options.reference_error, options.reference_turn_error])
+        deviations = reference_deviations(options.reference_error)
         return np.broadcast_to(np.diag(deviations**2), (len(log), 3, 3))
     given = as_floats(covariances, "covariances")
     require(given.shape == (len(log), 3, 3), "covariances", f"shape ({len(log)}, 3, 3)", given.shape)

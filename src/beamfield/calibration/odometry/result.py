@@ -30,8 +30,9 @@ class OdometryOptions:
     ----------
     update_min_d, update_min_a
         Motion between a filter's updates, metres and radians: AMCL's alphas belong to it.
-    reference_error, reference_turn_error
-        Standard deviation of the reference poses, per axis in metres and radians, where no covariances are given.
+    reference_error
+        Standard deviation of the reference poses, per axis in metres and by `REFERENCE_LEVER` in radians, where no
+        covariances are given.
     floor
         No alpha is advised below this: it survives a fault of the odometry. An alpha 5 times too small loses the robot,
         one 4 times too large costs little.
@@ -45,12 +46,11 @@ class OdometryOptions:
     update_min_d: float = 0.25
     update_min_a: float = 0.2
     reference_error: float = 0.04
-    reference_turn_error: float = 0.01
     floor: float = 0.02
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in ("update_min_d", "update_min_a", "floor", "reference_error", "reference_turn_error"):
+        for name in ("update_min_d", "update_min_a", "floor", "reference_error"):
             value = getattr(self, name)
             if not 0.0 <= value < math.inf or (value == 0.0 and name.startswith("reference")):
                 raise InvalidInputError(f"{name}: expected a finite positive number, got {value}")

@@ -34,9 +34,7 @@ class MotionCandidates(NamedTuple):
     with about so much noise is best. None if the log does not show it."""
 
 
-def motion_candidates(
-    settings: FilterSettings, log: SensorLog, reference_error: float, reference_turn_error: float
-) -> MotionCandidates:
+def motion_candidates(settings: FilterSettings, log: SensorLog, reference_error: float) -> MotionCandidates:
     """Return values that are worth a replay.
 
     Beside the user's own, they are those learned from the log, at the filter's own update distance, and `ALPHAS`. Where
@@ -50,12 +48,7 @@ def motion_candidates(
     if convert is None:
         return MotionCandidates(candidates, None)
     min_distance, min_turn = settings.update_distances
-    options = OdometryOptions(
-        update_min_d=min_distance,
-        update_min_a=min_turn,
-        reference_error=reference_error,
-        reference_turn_error=reference_turn_error,
-    )
+    options = OdometryOptions(min_distance, min_turn, reference_error)
     try:
         learned = calibrate_odometry(settings.at_ticks(log), options)
     except TooLittleDataError:

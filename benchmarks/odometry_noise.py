@@ -39,29 +39,29 @@ LASER = RangeFinder.from_bearings([0.0], max_range=8.0)
 ALPHAS = ((0.005,) * 4, (0.02,) * 4, (0.05,) * 4, (0.2,) * 4, (0.05, 0.05, 0.01, 0.01), (0.1, 0.01, 0.02, 0.05))
 
 
-def simulated_log(alphas: tuple[float, ...], seed: int, n_steps: int = STEPS) -> SensorLog:
+def simulated_log(alphas: tuple[float, ...], seed: int) -> SensorLog:
     """Return a log whose truth follows from its odometry by AMCL's motion model."""
     rng = np.random.default_rng(seed)
     odometry, poses, model = [np.zeros(3)], [np.zeros(3)], DifferentialMotion(*alphas)
-    for step in drive(rng, n_steps):
+    for step in drive(rng):
         odometry.append(compose(odometry[-1], step))
         poses.append(model.sample(poses[-1][None], np.array(odometry[-2:]), rng)[0])
     return as_log(np.array(poses), np.array(odometry), rng)
 
 
-def drifting_log(noise: OdometryNoise, seed: int, n_steps: int = STEPS) -> SensorLog:
+def drifting_log(noise: OdometryNoise, seed: int) -> SensorLog:
     """Return a log whose odometry has wrong scales, and noise that grows with the root of the distance."""
     rng = np.random.default_rng(seed)
     poses = [np.zeros(3)]
-    for step in drive(rng, n_steps):
+    for step in drive(rng):
         poses.append(compose(poses[-1], step))
     return as_log(np.array(poses), noisy_odometry(poses, rng, noise), rng)
 
 
-def drive(rng: np.random.Generator, n_steps: int) -> FloatArray:
+def drive(rng: np.random.Generator) -> FloatArray:
     """Return steps (n, 3) seen from their beginnings."""
-    turns = rng.choice([0.0, 0.0, 0.0, 1.0], n_steps) * rng.normal(0.0, 0.4, n_steps)
-    return np.column_stack([rng.uniform(0.24, 0.3, n_steps), np.zeros(n_steps), turns])
+    turns = rng.choice([0.0, 0.0, 0.0, 1.0], STEPS) * rng.normal(0.0, 0.4, STEPS)
+    return np.column_stack([rng.uniform(0.24, 0.3, STEPS), np.zeros(STEPS), turns])
 
 
 def as_log(poses: FloatArray, odometry: FloatArray, rng: np.random.Generator) -> SensorLog:

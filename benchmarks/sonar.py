@@ -61,7 +61,7 @@ def main(arguments: list[str]) -> None:
         print_table(real_logs(Path(arguments[0])))
 
 
-def cone_times(repeats: int = 25) -> list[dict[str, Any]]:
+def cone_times() -> list[dict[str, Any]]:
     """Time cones and fans; one row per map and width."""
     rng = np.random.default_rng(1)
     occupied = building(rng)
@@ -83,7 +83,7 @@ def cone_times(repeats: int = 25) -> list[dict[str, Any]]:
                 "cones": partial(cones.cast, poses, width, MAX_RANGE),
                 "fan": partial(rays.expected_ranges, poses, fan),
             }
-            best = least_seconds(calls, repeats)
+            best = least_seconds(calls)
             ns = {what: value / N_CONES * 1e9 for what, value in best.items()}
             exact = calls["cones"]()
             too_long = calls["fan"]().min(axis=1) - exact
@@ -233,10 +233,10 @@ def drawn_log(grid: OccupancyGrid, finder: RangeFinder, n_scans: int, seed: int)
     return SensorLog(finder, 5.0 * np.arange(n_scans), ranges, poses, np.full((n_scans, 3), np.nan))
 
 
-def least_seconds(calls: dict[str, Any], repeats: int) -> dict[str, float]:
+def least_seconds(calls: dict[str, Any]) -> dict[str, float]:
     """Return the least processor time of each call; they take turns."""
     best = dict.fromkeys(calls, np.inf)
-    for _ in range(repeats):
+    for _ in range(25):
         for what, call in calls.items():
             start = time.thread_time()
             call()

@@ -277,10 +277,10 @@ def _flat(folder: Path, name: str) -> dict[str, Any]:
     return {k: v if isinstance(v, str) else np.array(v, dtype=np.float64) for k, v in flat.items()}
 
 
-def _least_ms(function: Callable[[], object], repeats: int = 15) -> str:
+def _least_ms(function: Callable[[], object]) -> str:
     function()
     least = np.inf
-    for _ in range(repeats):
+    for _ in range(15):
         start = time.perf_counter()
         function()
         least = min(least, time.perf_counter() - start)

@@ -47,8 +47,8 @@ def drawn_log(finder: RangeFinder, truth: BeamParameters, n_scans: int, seed: in
     return SensorLog(finder, 5.0 * np.arange(n_scans), ranges, poses, np.full((n_scans, 3), np.nan))
 
 
-def drawn_table(finder: RangeFinder, truth: BeamParameters, n_scans: int, seed: int = 3) -> BeamTable:
-    return build_beam_table(drawn_log(finder, truth, n_scans, seed), corridor(), np.arange(n_scans))
+def drawn_table(finder: RangeFinder, truth: BeamParameters, n_scans: int) -> BeamTable:
+    return build_beam_table(drawn_log(finder, truth, n_scans, 3), corridor(), np.arange(n_scans))
 
 
 def assert_never_falls(trace: tuple[float, ...]) -> None:

@@ -17,9 +17,9 @@ POSE = np.array([2.7, 3.1, 0.3])
 NOISE = RangeNoise(0.01)
 
 
-def mean_within(statistic, degrees, n, chance=1e-4):
-    """Whether a mean of n chi-square values is one that chance allows."""
-    low, high = chi2.ppf([chance, 1 - chance], n * degrees) / n
+def mean_within(statistic, degrees, n):
+    """Whether a mean of n chi-square values is one that 99.98% of such means are."""
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], n * degrees) / n
     return low < statistic < high
 
 

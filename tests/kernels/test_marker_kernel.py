@@ -13,10 +13,10 @@ from beamfield.kernels import marker
 from tests.reference.marker_exercise import wrapped_normal_density
 
 
-def view(sigma_angle: float = 0.1, mount=(0.2, -0.1, 0.7)) -> marker.CameraView:
+def view(sigma_angle: float = 0.1) -> marker.CameraView:
     n_turns = math.ceil(0.5 + math.sqrt(0.25 + marker.NEGLIGIBLE * sigma_angle**2 / (2.0 * math.pi**2)))
     peaks = -math.log(2.0 * math.pi * 9.0), -0.5 * math.log(2.0 * math.pi * sigma_angle**2)
-    return marker.CameraView(*mount, 230.0, 3.0, sigma_angle, *peaks, n_turns)
+    return marker.CameraView(0.2, -0.1, 0.7, 230.0, 3.0, sigma_angle, *peaks, n_turns)
 
 
 def test_the_camera_of_a_robot_is_its_pose_composed_with_the_mount():

@@ -21,9 +21,9 @@ def tables_of(occupied):
     return rectangles
 
 
-def terrain_of(occupied, max_cells=30.0):
+def terrain_of(occupied):
     rows, cols = occupied.shape
-    return Terrain(tables_of(occupied).reshape(-1), rows, cols, 1.0, max_cells, max_cells)
+    return Terrain(tables_of(occupied).reshape(-1), rows, cols, 1.0, 30.0, 30.0)
 
 
 def test_rectangles_are_free_and_start_at_their_cell(rng):

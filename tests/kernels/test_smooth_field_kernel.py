@@ -60,22 +60,22 @@ def scipys_distances(distance, poses, ends):
     return np.where(on_field(u, v, distance.shape), values, np.nan)
 
 
-def distances(table, poses, ends, off_value=math.nan):
+def distances(table, poses, ends):
     out = np.empty((len(poses), ends.shape[1]))
-    smooth_field.fill_distances(poses, FRAME, ends, table, off_value, out)
+    smooth_field.fill_distances(poses, FRAME, ends, table, math.nan, out)
     return out
 
 
-def sums(table, poses, ends, view=VIEW, n_factors=None):
+def sums(table, poses, ends, n_factors=None):
     out = np.empty(len(poses))
-    n_factors = smooth_field.n_factors(view) if n_factors is None else n_factors
-    smooth_field.fill_sums(poses, FRAME, ends, table, view, n_factors, out)
+    n_factors = smooth_field.n_factors(VIEW) if n_factors is None else n_factors
+    smooth_field.fill_sums(poses, FRAME, ends, table, VIEW, n_factors, out)
     return out
 
 
-def gradient(table, poses, ends, view=VIEW):
+def gradient(table, poses, ends):
     out = np.empty((len(poses), 3))
-    smooth_field.fill_gradient(poses, FRAME, ends, table, view, out)
+    smooth_field.fill_gradient(poses, FRAME, ends, table, VIEW, out)
     return out
 
 

@@ -32,8 +32,8 @@ def as_log(ranges, poses, finder) -> SensorLog:
     return SensorLog(finder, np.arange(t), ranges, np.asarray(poses, dtype=float), np.full((t, 3), np.nan))
 
 
-def one_beam(z: float, pose=(0.25, 0.25, 0.0), model=ODDS, finder=AHEAD, resolution=0.5) -> OccupancyGrid:
-    return build_map(as_log([[z]], [pose], finder), resolution=resolution, inverse_model=model)
+def one_beam(z: float, model=ODDS, finder=AHEAD) -> OccupancyGrid:
+    return build_map(as_log([[z]], [(0.25, 0.25, 0.0)], finder), resolution=0.5, inverse_model=model)
 
 
 def test_cells_before_a_hit_are_passed_the_last_is_hit_and_none_behind_is_touched():

@@ -12,6 +12,7 @@ from beamfield.sensors import RangeFinder
 from tests.reference.raycast_oracles import intersect_boxes, traverse
 
 SHAPES = [(1, 1), (1, 9), (7, 1), (2, 2), (20, 30)]
+N_RAYS = 6000
 DENSITIES = [0.0, 0.03, 0.2, 0.5, 0.9]
 
 
@@ -40,14 +41,14 @@ def compare(occupied, origins, max_cells, *, boxes=False):
     return wanted
 
 
-def starts_around(rng, shape, n):
-    return rng.uniform(-3, 3, (n, 2)) + rng.random((n, 2)) * np.array(shape[::-1])
+def starts_around(rng, shape):
+    return rng.uniform(-3, 3, (N_RAYS, 2)) + rng.random((N_RAYS, 2)) * np.array(shape[::-1])
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_random_rays_agree_with_both_oracles(rng, shape):
     for density in DENSITIES:
-        origins = np.column_stack([starts_around(rng, shape, 6000), rng.uniform(-4, 4, 6000)])
+        origins = np.column_stack([starts_around(rng, shape), rng.uniform(-4, 4, N_RAYS)])
         compare(rng.random(shape) < density, origins, 12.3, boxes=True)
 
 
@@ -55,9 +56,9 @@ def test_random_rays_agree_with_both_oracles(rng, shape):
 def test_rays_through_corners_and_along_borders_agree_with_both_oracles(rng, shape):
     for density in DENSITIES:
         occupied = rng.random(shape) < density
-        on_quarters = np.round(starts_around(rng, shape, 6000) * 4) / 4
-        slopes = np.arctan2(rng.integers(-4, 5, 6000), rng.integers(-4, 5, 6000))
-        eighths = np.pi / 4 * rng.integers(-16, 17, 6000)
+        on_quarters = np.round(starts_around(rng, shape) * 4) / 4
+        slopes = np.arctan2(rng.integers(-4, 5, N_RAYS), rng.integers(-4, 5, N_RAYS))
+        eighths = np.pi / 4 * rng.integers(-16, 17, N_RAYS)
         for heading in (slopes, eighths):
             compare(occupied, np.column_stack([on_quarters, heading]), 40.0, boxes=True)
 
@@ -66,10 +67,10 @@ def test_rays_through_corners_and_along_borders_agree_with_both_oracles(rng, sha
 def test_rays_that_just_miss_corners_and_borders_agree_with_both_oracles(rng, shape):
     for density in DENSITIES:
         occupied = rng.random(shape) < density
-        starts = np.round(starts_around(rng, shape, 6000) * 4) / 4
-        starts += rng.choice([0, 1e-13, -1e-13, 1e-7, -1e-7, 1e-5], (6000, 2))
-        heading = np.pi / 4 * rng.integers(-16, 17, 6000)
-        heading += rng.choice([0, 0, 1e-14, -1e-14, 1e-7, -1e-7, 1e-5, -1e-4], 6000)
+        starts = np.round(starts_around(rng, shape) * 4) / 4
+        starts += rng.choice([0, 1e-13, -1e-13, 1e-7, -1e-7, 1e-5], (N_RAYS, 2))
+        heading = np.pi / 4 * rng.integers(-16, 17, N_RAYS)
+        heading += rng.choice([0, 0, 1e-14, -1e-14, 1e-7, -1e-7, 1e-5, -1e-4], N_RAYS)
         compare(occupied, np.column_stack([starts, heading]), 40.0, boxes=True)
 
 

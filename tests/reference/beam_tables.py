@@ -55,7 +55,7 @@ def beam_range_finder_model(z_t, z_star_t, theta, max_range):
     return q
 
 
-def expected_range_by_small_steps(occupied, resolution, pose, bearing, max_range, step=1e-4):
+def expected_range_by_small_steps(occupied, resolution, pose, bearing, max_range, step):
     """Line 4 of Table 6.1 without cleverness: walk until an occupied cell; error up to `step`. Origin at (0, 0)."""
     x, y, theta = pose
     for n in range(round(max_range / step)):

@@ -46,9 +46,9 @@ def spurious_density(feature, max_range) -> float:
     return q
 
 
-def sum_over_correspondences(feature, pose, positions, sigmas, rate, max_range, signatures=None) -> float:
+def sum_over_correspondences(feature, pose, positions, sigmas, rate, max_range) -> float:
     n = len(positions)
-    each = [landmark_model_known_correspondence(feature, j, pose, positions, sigmas, signatures) / n for j in range(n)]
+    each = [landmark_model_known_correspondence(feature, j, pose, positions, sigmas) / n for j in range(n)]
     return rate * spurious_density(feature, max_range) + (1.0 - rate) * sum(each)
 
 

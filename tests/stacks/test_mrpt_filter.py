@@ -31,8 +31,8 @@ STILL = MrptMotion(a1=0.0, a2=0.0, a3=0.0, a4=0.0, minStdXY=0.0, minStdPHI=0.0)
 FIXED = MrptFilterParameters(adaptiveSampleSize=False, particles_count=60)
 
 
-def mrpt_filter(motion: MrptMotion | None = None, sensor=MRPT_FIELD, **changes):
-    return build_filter("mrpt", MrptField(small_room(), sensor), motion, MrptFilterParameters(**changes))
+def mrpt_filter(sensor=MRPT_FIELD, **changes):
+    return build_filter("mrpt", MrptField(small_room(), sensor), parameters=MrptFilterParameters(**changes))
 
 
 def slow_resampled(method: str, weights: list[float], rng: np.random.Generator) -> list[int]:

@@ -52,18 +52,18 @@ Z_STAR = 4.0
 Z = np.array([3.9, 3.97, 4.01, 4.08, 5.0, 8.0])
 
 
-def nav2_beam(z, z_star, v):
-    """Return p of nav2's beam model from its documented terms."""
-    p = v["z_hit"] * np.exp(-((z - z_star) ** 2) / (2 * v["sigma_hit"] ** 2)) + v["z_rand"] / v["laser_max_range"]
-    return p + np.where(z < z_star, v["z_short"] * v["lambda_short"] * np.exp(-v["lambda_short"] * z), 0.0)
+def nav2_beam(z, v):
+    """Return p of nav2's beam model from its documented terms, at Z_STAR."""
+    p = v["z_hit"] * np.exp(-((z - Z_STAR) ** 2) / (2 * v["sigma_hit"] ** 2)) + v["z_rand"] / v["laser_max_range"]
+    return p + np.where(z < Z_STAR, v["z_short"] * v["lambda_short"] * np.exp(-v["lambda_short"] * z), 0.0)
 
 
 def test_nav2s_p_is_the_density_but_for_a_factor_at_the_typical_range(model):
     v = translate_beam_model(model(), "nav2", typical_range=Z_STAR).values
-    p, q = nav2_beam(Z, Z_STAR, v), density(Z, Z_STAR)
+    p, q = nav2_beam(Z, v), density(Z, Z_STAR)
     np.testing.assert_allclose(p / p[2], q / q[2], rtol=1e-6)
     near = np.array([1.0, 2.0])
-    np.testing.assert_allclose(nav2_beam(near, Z_STAR, v) / p[2], density(near, Z_STAR) / q[2], rtol=1e-6)
+    np.testing.assert_allclose(nav2_beam(near, v) / p[2], density(near, Z_STAR) / q[2], rtol=1e-6)
 
 
 def test_belugas_parameters_are_the_chapters(model):

@@ -21,6 +21,7 @@ from tests.calibration.test_odometry import amcl_log
 from tests.pillar_hall import drive, hall
 
 N_BEAMS = 120
+MAX_RANGE = 10.0
 
 
 def amcl(tmp_path, stack="nav2", **values):
@@ -79,17 +80,17 @@ def wrong_in(n):
     return readings
 
 
-def scans(fill=3.0, *, max_range=10.0, n_beams=N_BEAMS, poses=None):
+def scans(fill=3.0, *, n_beams=N_BEAMS, poses=None):
     """Return ten scans of a full circle with one value for all beams, or values given."""
-    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, n_beams, endpoint=False), max_range, min_range=0.1)
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, n_beams, endpoint=False), MAX_RANGE, min_range=0.1)
     ranges = np.broadcast_to(np.asarray(fill, dtype=np.float64), (10, n_beams)).copy()
     nowhere = np.full((10, 3), np.nan)
     return SensorLog(finder, np.arange(10.0), ranges, nowhere if poses is None else poses, nowhere)
 
 
-def reporting(value, fill):
-    """Return scans whose driver reports a value where nothing comes back."""
-    return replace(scans(fill), no_return=NoReturnPolicy((value,), origin="given"))
+def reporting_the_limit(fill):
+    """Return scans whose driver reports the longest range where nothing comes back."""
+    return replace(scans(fill), no_return=NoReturnPolicy((MAX_RANGE,), origin="given"))
 
 
 FRAMES = "r1/odom", "r1/base_link", "r1/laser"
@@ -101,9 +102,9 @@ def on(topic):
     return replace(log, finder=replace(log.finder, name=topic))
 
 
-def some(value, share, other=3.0):
+def some(value, share):
     """Return (k,) readings of which the first share has one value."""
-    ranges = np.full(N_BEAMS, other)
+    ranges = np.full(N_BEAMS, 3.0)
     ranges[: round(share * N_BEAMS)] = value
     return ranges
 
@@ -298,10 +299,10 @@ FINDINGS = {
                                  {"laser_min_range": 0.3}, {"log": scans(some(0.4, 0.1))}),
     "z-max-unreachable of Beluga": ({"stack": "beluga", "laser_model_type": "beam"}, {"log": scans(some(np.inf, 0.1))},
                                     {"stack": "beluga", "laser_model_type": "beam", "laser_max_range": 10.0},
-                                    {"log": reporting(10.0, some(np.inf, 0.1))}),
+                                    {"log": reporting_the_limit(some(np.inf, 0.1))}),
     "z-max-unreachable behind laser_max_range": (
-        {"laser_model_type": "beam", "laser_max_range": 8.0}, {"log": reporting(10.0, some(np.inf, 0.1))},
-        {"laser_model_type": "beam", "laser_max_range": 12.0}, {"log": reporting(10.0, some(np.inf, 0.1))}),
+        {"laser_model_type": "beam", "laser_max_range": 8.0}, {"log": reporting_the_limit(some(np.inf, 0.1))},
+        {"laser_model_type": "beam", "laser_max_range": 12.0}, {"log": reporting_the_limit(some(np.inf, 0.1))}),
     "many-beams-in-product of MRPT": (
         {"stack": "mrpt", "name": "p.ini", "text": "[a_likelihoodOpts]\nLF_decimation = 2\n"}, {"log": scans()},
         {"stack": "mrpt", "name": "p.ini", "text": "[a_likelihoodOpts]\nLF_decimation = 5\n"}, {"log": scans()}),

@@ -14,7 +14,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.amcl.grid_models import GridRays
 from beamfield.stacks.amcl.parameters import AsAmcl
-from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges, range_limits
+from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges
 from beamfield.stacks.emulation.beam_selection import floor_step_beams
 from beamfield.stacks.emulation.emulator import RayEvidence
 from beamfield.stacks.emulation.stack_rays import AMCL_LINE, bresenham_ranges, exact_ranges, walled
@@ -64,8 +64,7 @@ class AmclBeam(GridRays[P], Generic[P]):
         """Return readings and expected ranges; see `StackModel.evidence`."""
         robot = as_poses(poses).reshape(-1, 3)
         parameters = self.parameters.as_amcl()
-        _, range_max = range_limits(z.finder, parameters)
-        ranges = amcl_ranges(z, parameters)
+        ranges, range_max = amcl_ranges(z, parameters)
         if self.no_return == "range_max":
             ranges[ranges == np.inf] = z.finder.max_range
         beams = self.beam_rule(len(ranges), parameters.max_beams)

@@ -13,7 +13,7 @@ from beamfield.geometry import FloatArray
 from beamfield.sensors import Scan
 from beamfield.stacks.amcl.grid_models import GridField, field_values
 from beamfield.stacks.amcl.parameters import AmclParameters, AsAmcl
-from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges, range_limits
+from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges
 from beamfield.stacks.emulation.beam_selection import floor_step_beams
 from beamfield.stacks.emulation.emulator import OFF_MAP, FieldEvidence, ScanEnds
 from beamfield.stacks.emulation.field_table import AMCL_BRUSHFIRE, FieldTable, end_points, field_table, reach_in_cells
@@ -51,8 +51,7 @@ class AmclField(GridField[P], Generic[P]):
     def scan_ends(self, z: Scan) -> ScanEnds:
         """Return the end points that the program looks up; see `FieldModel.scan_ends`."""
         parameters = self.parameters.as_amcl()
-        _, range_max = range_limits(z.finder, parameters)
-        ranges = amcl_ranges(z, parameters)
+        ranges, range_max = amcl_ranges(z, parameters)
         beams = self.beam_rule(len(ranges), parameters.max_beams)
         beams = beams[ranges[beams] < range_max]
         return ScanEnds(beams, range_max, end_points(z.finder.mounts[beams], ranges[beams]))

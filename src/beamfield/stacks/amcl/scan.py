@@ -6,25 +6,22 @@ import numpy as np
 
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import RangeFinder, Scan
+from beamfield.sensors import Scan
 from beamfield.stacks.amcl.parameters import AmclParameters
 from beamfield.stacks.emulation.stack_map import MapMode, read_as_stack
 
 
-def range_limits(finder: RangeFinder, parameters: AmclParameters) -> tuple[float, float]:
-    """Return the shortest and the longest range that count, metres: the tighter of the sensor's and the parameters'."""
-    low, high = parameters.laser_min_range, parameters.laser_max_range
+def amcl_ranges(scan: Scan, parameters: AmclParameters) -> tuple[FloatArray, float]:
+    """Return the ranges (k,) that the models get, and the longest: what is too short becomes that.
+
+    The shortest and the longest range that count are the tighter of the sensor's and the parameters'.
+    """
+    finder, low, high = scan.finder, parameters.laser_min_range, parameters.laser_max_range
     range_min = max(finder.min_range, low) if low > 0.0 else finder.min_range
     range_max = min(finder.max_range, high) if high > 0.0 else finder.max_range
-    return range_min, range_max
-
-
-def amcl_ranges(scan: Scan, parameters: AmclParameters) -> FloatArray:
-    """Return the ranges (k,) that the models get: what is too short becomes the longest range."""
-    range_min, range_max = range_limits(scan.finder, parameters)
     ranges = np.array(scan.ranges)
     ranges[ranges <= range_min] = range_max
-    return ranges
+    return ranges, range_max
 
 
 def amcl_grid(grid: OccupancyGrid, map_mode: MapMode) -> OccupancyGrid:

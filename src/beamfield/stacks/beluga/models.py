@@ -1,7 +1,6 @@
 """Beluga's AMCL: its three measurement models, emulated."""
 
 from beamfield.stacks.beluga.beam import BelugaBeam
-from beamfield.stacks.beluga.field import BelugaField
-from beamfield.stacks.beluga.field_prob import BelugaFieldProb
+from beamfield.stacks.beluga.field import BelugaField, BelugaFieldProb
 
 __all__ = ["BelugaBeam", "BelugaField", "BelugaFieldProb"]

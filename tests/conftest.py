@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import gc
 import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -60,6 +63,21 @@ def oracle(shared: Path) -> Path:
 def oracle_case(request: pytest.FixtureRequest, oracle: Path) -> OracleCase:
     """A small map drawn by hand, and one of a building, with all that other programs were given."""
     return OracleCase.read(oracle / request.param)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, driven by Playwright; tests that need it skip without either."""
+    sync_api = pytest.importorskip("playwright.sync_api")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no Chromium is installed, so no page is tested in it")
+    with sync_api.sync_playwright() as playwright:
+        # Containers often run as root, where Chromium's own sandbox does not start.
+        arguments = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
+        started = playwright.chromium.launch(executable_path=chromium, args=arguments)
+        yield started
+        started.close()
 
 
 @pytest.fixture

@@ -1,8 +1,6 @@
 """The explorer's page in a real browser; skipped where there is none."""
 
 import io
-import os
-import shutil
 import threading
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -23,10 +21,8 @@ sync_api = pytest.importorskip("playwright.sync_api")
 axe = pytest.importorskip("axe_playwright_python.sync_playwright")
 
 SERIOUS = ("serious", "critical")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+# The browser's driver leaves sockets to the end of the process.
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed, so the explorer's page is not tested"),
-    # Its driver leaves sockets to the end of the process.
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
@@ -59,16 +55,6 @@ def serve():
 def address(session):
     with served(session) as place:
         yield place
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as playwright:
-        # Containers often run as root, where Chromium's own sandbox does not start.
-        arguments = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")

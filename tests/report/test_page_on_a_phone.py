@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-
 import pytest
 from matplotlib.figure import Figure
 
@@ -15,24 +12,11 @@ from beamfield.report.drawing import NARROW, WIDE
 from beamfield.report.page import document, figure, fold
 from beamfield.report.panel import ReportFigure, png_panel, svg_panel
 
-sync_api = pytest.importorskip("playwright.sync_api")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+# The browser's driver leaves sockets to the end of the process.
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed, so the report is not tested in one"),
-    # Its driver leaves sockets to the end of the process.
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as playwright:
-        # Containers often run as root, where Chromium's own sandbox does not start.
-        arguments = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield started
-        started.close()
 
 
 def test_pictures_are_seen_whole_and_a_tap_enlarges_them(browser):

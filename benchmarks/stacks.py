@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -34,6 +33,7 @@ from beamfield.stacks.mrpt.rays import MrptRays
 from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import parameter_class
+from tables import least_seconds, print_table
 
 ORACLE = Path(os.environ.get("BEAMFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared")) / "oracle"
 KINDS = (Nav2Field, Nav2FieldProb, Nav2Beam, BelugaField, BelugaFieldProb, BelugaBeam)
@@ -49,10 +49,7 @@ def main() -> None:
         answered = agreement(), range_methods()
     for rows in (*answered, approximations(), cuts(), times()):
         if rows:
-            print(f"| {' | '.join(rows[0])} |")
-            print(f"|{'---|' * len(rows[0])}")
-            for row in rows:
-                print(f"| {' | '.join(str(value) for value in row.values())} |")
+            print_table(rows)
             print()
 
 
@@ -193,11 +190,10 @@ def times() -> list[dict[str, Any]]:
             "evidence [ms]": _least_ms(lambda model=model: model.evidence(scan, poses)),
             "log_weights [ms]": _least_ms(lambda model=model, evidence=evidence: model.log_weights(evidence)),
         }
+        row["evidence, exact rays [ms]"] = ""
         if kind.model in ("beam", "rayTracing"):
             exact = kind(grid, parameters, rays="exact")
             row["evidence, exact rays [ms]"] = _least_ms(lambda exact=exact: exact.evidence(scan, poses))
-        else:
-            row["evidence, exact rays [ms]"] = ""
         rows.append(row)
     return rows
 
@@ -278,13 +274,7 @@ def _flat(folder: Path, name: str) -> dict[str, Any]:
 
 
 def _least_ms(function: Callable[[], object]) -> str:
-    function()
-    least = np.inf
-    for _ in range(15):
-        start = time.perf_counter()
-        function()
-        least = min(least, time.perf_counter() - start)
-    return f"{1e3 * least:.2f}"
+    return f"{1e3 * least_seconds(function, 15):.2f}"
 
 
 if __name__ == "__main__":

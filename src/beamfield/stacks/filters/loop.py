@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
 
 from beamfield.errors import TooLittleDataError
-from beamfield.geometry import FloatArray
+from beamfield.geometry import FloatArray, compose, invert
 from beamfield.localization.replay import Replay
 from beamfield.sensors import Scan, SensorLog
-from beamfield.stacks.filters.recording import Recording
+from beamfield.stacks.filters.particles import particle_moments
 
 
 class Cloud(Protocol):
@@ -36,24 +37,37 @@ class Cloud(Protocol):
 WatchCloud = Callable[[int, FloatArray, FloatArray], None]
 
 
-def run_loop(log: SensorLog, cloud: Cloud, scans: Iterable[int], watch: WatchCloud | None = None) -> Replay:
+def run_loop(log: SensorLog, cloud: Cloud, scans: Iterable[int], watch: WatchCloud | None) -> Replay:
     """Run a log through a filter: its particles are updated by these scans, which all have odometry."""
-    recording = Recording(log)
+    updates: list[tuple[int, FloatArray, FloatArray, int, float]] = []
+    answers: list[tuple[int, FloatArray]] = []
     last: FloatArray | None = None
     for i in scans:
         odometry = log.odometry[i]
-        recording.start_update()
+        started = time.thread_time()
         if last is not None:
             cloud.move(np.stack([last, odometry]))
         cloud.weigh(log.scan(i))
         answer = cloud.resample_when_due()
-        recording.updated(i, cloud.poses, cloud.weights)
+        seconds = time.thread_time() - started
+        updates.append((i, *particle_moments(cloud.poses, cloud.weights), len(cloud.poses), seconds))
         if watch is not None:
             watch(i, cloud.poses, cloud.weights)
         if answer is not None:
-            recording.published(i, answer)
+            answers.append((i, answer))
         last = odometry
-    return recording.replay()
+    return Replay(_continued(answers, log.odometry), *(np.array(column) for column in zip(*updates, strict=True)))
+
+
+def _continued(answers: Sequence[tuple[int, FloatArray]], odometry: FloatArray) -> FloatArray:
+    """Return the pose at each scan, (t, 3): a filter's answers (scan and pose), each continued by odometry (t, 3)."""
+    scans, poses = (np.array(column) for column in zip(*answers, strict=True))
+    # All at once: one by one takes a sixth of a replay's time.
+    map_from_odom = compose(poses, invert(odometry[scans]))
+    whole = np.full(odometry.shape, np.nan)
+    held = np.repeat(map_from_odom, np.diff(scans, append=len(whole)), axis=0)
+    whole[scans[0] :] = compose(held, odometry[scans[0] :])
+    return whole
 
 
 def scans_with_odometry(log: SensorLog) -> list[int]:

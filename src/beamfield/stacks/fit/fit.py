@@ -117,7 +117,6 @@ def fit_stack(
     selection: SelectionOptions | None = None,
     block_s: float | None = None,
     progress: Progress | None = None,
-    **model_options: Any,
 ) -> StackFit:
     """Fit a stack's parameters to a log with reference poses and a map.
 
@@ -144,8 +143,6 @@ def fit_stack(
         How windows are cut, see `cut_windows`.
     progress
         Called with what is done, steps done and steps in all.
-    **model_options
-        Of the emulator: map_mode, no_return.
 
     Raises
     ------
@@ -158,7 +155,7 @@ def fit_stack(
     rivals = draw_rivals(options, grid)
     windows = cut_windows(log, grid, rivals, options, selection, block_s)
     space = fit_space(stack, model, start, log.finder, grid, beam_parameters)
-    before_model = build_model(stack, model, grid, space.usable_start, **model_options)
+    before_model = build_model(stack, model, grid, space.usable_start)
     stage, n_steps = f"fitting {stack} {model}", len(space.settings) + 3
     _tell(progress, stage, 0, n_steps)
     as_it_was = {name: getattr(space.usable_start, name) for name in space.settings[0]}
@@ -179,7 +176,7 @@ def fit_stack(
         chosen = before
     _tell(progress, stage, n_steps - 1, n_steps)
     judged = [int(window.scans[0]) for window in windows if window.fold == HELD_OUT]
-    final = build_model(stack, model, grid, chosen.parameters, **model_options)
+    final = build_model(stack, model, grid, chosen.parameters)
     return StackFit(
         final, start, chosen, before, tuple(trials),
         update_particles(final, log, judged), update_particles(before_model, log, judged),

@@ -70,8 +70,8 @@ class WindowEvidence:
 
     Parameters
     ----------
-    folds
-        (w,) of each window, see `Window`.
+    n_windows
+        How many windows.
     n_near
         How many poses of each scan are near ones; they come before the far ones.
     scans
@@ -82,7 +82,7 @@ class WindowEvidence:
         Scans in a window.
     """
 
-    folds: NDArray[np.int64]
+    n_windows: int
     n_near: int
     scans: tuple[tuple[Evidence, ...], ...]
     codes: FieldCodes | None
@@ -90,10 +90,9 @@ class WindowEvidence:
 
     def log_weights(self, model: StackModel[Any, Any], candidates: Sequence[Any]) -> FloatArray:
         """Return log-weights (w, c, n) of trajectories: sums over a window's scans, for c parameters."""
-        n_windows = len(self.folds)
         if self.codes is not None and isinstance(model, FieldModel):
             each = self.codes.log_weights(model, candidates)
-            total = each.reshape(n_windows, self.n_scans, -1, len(candidates)).sum(axis=1)
+            total = each.reshape(self.n_windows, self.n_scans, -1, len(candidates)).sum(axis=1)
             return np.ascontiguousarray(total.swapaxes(1, 2))
         return np.array(
             [
@@ -105,7 +104,6 @@ class WindowEvidence:
 
 def gather_evidence(model: StackModel[Any, Any], log: SensorLog, windows: Sequence[Window]) -> WindowEvidence:
     """Return the evidence of all windows, for many evaluations with other parameters."""
-    folds = np.array([window.fold for window in windows], np.int64)
     n_near, n_scans = windows[0].near.shape[1], len(windows[0].scans)
     coder = _Coder() if isinstance(model, FieldModel) and model.takes_poses_alone() else None
     gathered = []
@@ -119,8 +117,8 @@ def gather_evidence(model: StackModel[Any, Any], log: SensorLog, windows: Sequen
                 coder.add(evidence)
         gathered.append(tuple(scans))
     if coder is None:
-        return WindowEvidence(folds, n_near, tuple(gathered), None, n_scans)
-    return WindowEvidence(folds, n_near, (), coder.result(), n_scans)
+        return WindowEvidence(len(windows), n_near, tuple(gathered), None, n_scans)
+    return WindowEvidence(len(windows), n_near, (), coder.result(), n_scans)
 
 
 def score_windows(

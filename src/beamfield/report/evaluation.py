@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from beamfield.localization.replay_comparison import (
     FEWEST_SEEDS,
     ReplayComparison,
     ReplayTrials,
+    ReplayVerdict,
     compare_trials,
     judge_change,
 )
@@ -73,14 +75,24 @@ class Evaluation:
         """The filter that others are compared with."""
         return next(iter(self.trials))
 
+    @property
+    def others(self) -> dict[str, Sequence[ReplayTrials]]:
+        """The runs of the other filters."""
+        return {name: trials for name, trials in self.trials.items() if name != self.first}
+
+    @cached_property
     def comparisons(self) -> dict[str, list[ReplayComparison]]:
-        """Return each other filter's differences from the first over all logs, for each measure compared."""
+        """Each other filter's differences from the first over all logs, for each measure compared."""
         base = self.trials[self.first]
         return {
             name: [compare_trials(base, trials, measure) for measure in COMPARED]
-            for name, trials in self.trials.items()
-            if name != self.first
+            for name, trials in self.others.items()
         }
+
+    @cached_property
+    def verdicts(self) -> dict[str, ReplayVerdict]:
+        """Whether each other filter is better than the first."""
+        return {name: judge_change(self.trials[self.first], trials) for name, trials in self.others.items()}
 
 
 def evaluation_tables(evaluation: Evaluation) -> str:
@@ -89,7 +101,8 @@ def evaluation_tables(evaluation: Evaluation) -> str:
     if any(evaluation.finds.values()):
         parts.append(_find_table(evaluation))
     if len(evaluation.trials) > 1:
-        parts += [_difference_table(evaluation), *_verdicts(evaluation)]
+        parts.append(_difference_table(evaluation))
+        parts += [f"{name} against {evaluation.first}:\n{one.summary()}" for name, one in evaluation.verdicts.items()]
     return "\n\n".join(parts)
 
 
@@ -97,11 +110,7 @@ def evaluation_line(evaluation: Evaluation) -> str:
     """Return the result in one line."""
     means = {name: float(np.mean([one.mean("mean") for one in trials])) for name, trials in evaluation.trials.items()}
     shown = ", ".join(f"{name} {mean:.3f} m" for name, mean in means.items())
-    better = [
-        name for name in means
-        if name != evaluation.first
-        and judge_change(evaluation.trials[evaluation.first], evaluation.trials[name]).is_better
-    ]  # fmt: skip
+    better = [name for name, verdict in evaluation.verdicts.items() if verdict.is_better]
     sure = f"; better than {evaluation.first} for sure: {', '.join(better) or 'none'}" if len(means) > 1 else ""
     return f"mean position error {shown}{sure}"
 
@@ -121,11 +130,9 @@ def evaluation_as_dict(evaluation: Evaluation) -> dict[str, Any]:
         },
         "compared_with": evaluation.first,
         "differences": {
-            name: [_comparison_as_dict(one) for one in rows] for name, rows in evaluation.comparisons().items()
+            name: [_comparison_as_dict(one) for one in rows] for name, rows in evaluation.comparisons.items()
         },
-        "verdicts": {
-            name: _verdict_as_dict(evaluation, name) for name in evaluation.trials if name != evaluation.first
-        },
+        "verdicts": {name: _verdict_as_dict(verdict) for name, verdict in evaluation.verdicts.items()},
     }
 
 
@@ -184,7 +191,7 @@ def _find_table(evaluation: Evaluation) -> str:
 
 def _difference_table(evaluation: Evaluation) -> str:
     rows = []
-    for name, comparisons in evaluation.comparisons().items():
+    for name, comparisons in evaluation.comparisons.items():
         for one in comparisons:
             label, unit = COMPARED[one.measure]
             sure = "lower" if one.is_lower else "higher" if one.is_higher else "not sure"
@@ -194,15 +201,6 @@ def _difference_table(evaluation: Evaluation) -> str:
     few = min(len(one) for one in evaluation.trials[evaluation.first])
     note = f"\nFewer than {FEWEST_SEEDS} seeds: nothing is sure." if few < FEWEST_SEEDS else ""
     return f"{aligned(header, rows, right=(3,))}\nOver all logs, run for run; intervals by paired bootstrap.{note}"
-
-
-def _verdicts(evaluation: Evaluation) -> list[str]:
-    base = evaluation.trials[evaluation.first]
-    return [
-        f"{name} against {evaluation.first}:\n{judge_change(base, trials).summary()}"
-        for name, trials in evaluation.trials.items()
-        if name != evaluation.first
-    ]
 
 
 def _trials_as_dict(trials: ReplayTrials) -> dict[str, Any]:
@@ -216,8 +214,7 @@ def _comparison_as_dict(comparison: ReplayComparison) -> dict[str, Any]:
     return {**plain(comparison), "difference": comparison.difference, "for_sure": sure}
 
 
-def _verdict_as_dict(evaluation: Evaluation, name: str) -> dict[str, Any]:
-    verdict = judge_change(evaluation.trials[evaluation.first], evaluation.trials[name])
+def _verdict_as_dict(verdict: ReplayVerdict) -> dict[str, Any]:
     return {
         "is_better": verdict.is_better,
         "lost_runs": [verdict.lost_before, verdict.lost_after],

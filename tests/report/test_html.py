@@ -160,7 +160,7 @@ def test_ids_are_unique_and_every_link_inside_the_page_has_its_target(text, page
 def test_numbers_in_the_tables_are_the_calibrations(case, text):
     for row in parameter_rows(case.calibration):
         assert f'<th scope="row">{row.name}</th><td class="n">{row.value}</td>' in text
-        assert row.interval_text in text
+        assert row.interval in text
     for score in case.calibration.scores:
         assert plus_minus(score.log_likelihood, score.standard_error) in text
     snippet = text[text.index("<pre>") : text.index("</pre>")]

@@ -49,18 +49,18 @@ def row(calibration, name: str):
 
 def test_a_rate_of_zero_says_that_it_means_uniform(case):
     found = row(with_interval(case, "lambda_short", 0.0, (0.0, 0.12)), "lambda_short")
-    assert (found.value, found.interval_text) == ("0 (uniform)", "[0.000, 0.120]")
+    assert (found.value, found.interval) == ("0 (uniform)", "[0.000, 0.120]")
 
 
 def test_a_rate_that_is_not_determined_has_no_value(case):
     found = row(with_interval(case, "lambda_short", 0.0, (0.0, np.inf)), "lambda_short")
-    assert (found.value, found.interval_text) == ("-", "not determined")
+    assert (found.value, found.interval) == ("-", "not determined")
 
 
 def test_the_floor_of_the_search_is_not_printed_as_noise(case):
     """The room's sensor reaches 10 m: its floor is 0.0001 m."""
     found = row(with_interval(case, "sigma_hit", 1e-4, (0.0, 0.0042)), "sigma_hit")
-    assert (found.value, found.interval_text) == ("below 0.0042", "[0.0000, 0.0042]")
+    assert (found.value, found.interval) == ("below 0.0042", "[0.0000, 0.0042]")
     found = row(with_interval(case, "sigma_hit", 0.002, (0.0, 0.0042)), "sigma_hit")
     assert found.value == "0.0020"
 

@@ -10,7 +10,7 @@ from beamfield.report.as_json import plain
 from beamfield.report.escape import escaped
 from beamfield.report.page import table
 from beamfield.report.page_section import PageSection
-from beamfield.report.text_table import aligned
+from beamfield.report.text_table import aligned, interval_text
 
 ANCHOR, TITLE = "independent-beams", "Independent beams"
 HEADER = (
@@ -79,10 +79,8 @@ def _rows(learned: ExponentLearning) -> list[tuple[str, ...]]:
 
 
 def _row(name: str, exponent: LearnedExponent, n_beams: int) -> tuple[str, ...]:
-    low, high = exponent.interval
-    interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(high) else "not determined"
     score = f"{exponent.score:.2f} ± {exponent.score_se:.2f}" if math.isfinite(exponent.score_se) else ""
     return (
-        name, f"{exponent.value:.3g}", interval, f"{exponent.value * n_beams:.2g}", f"{exponent.coverage:.0%}",
-        score, f"{exponent.score_independent:.2f}",
+        name, f"{exponent.value:.3g}", interval_text(*exponent.interval), f"{exponent.value * n_beams:.2g}",
+        f"{exponent.coverage:.0%}", score, f"{exponent.score_independent:.2f}",
     )  # fmt: skip

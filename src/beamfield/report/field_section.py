@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 
 from beamfield.calibration.field.learning import FieldLearning, FieldScore
 from beamfield.report.escape import escaped
 from beamfield.report.page import fold, table
 from beamfield.report.page_section import PageSection
-from beamfield.report.text_table import aligned, plus_minus
+from beamfield.report.text_table import aligned, interval_text, plus_minus
 
 ANCHOR, TITLE = "field", "Likelihood field"
 MEANINGS = {
@@ -62,14 +61,10 @@ def _parameter_rows(learned: FieldLearning) -> list[tuple[str, ...]]:
     if learned.exponents is not None:
         values["single_scan_exponent"] = learned.exponents.single.value
     return [
-        (name, f"{values[name]:.3g}", _interval_text(*learned.intervals[name]), unit, meaning)
+        (name, f"{values[name]:.3g}", interval_text(*learned.intervals[name]), unit, meaning)
         for name, (unit, meaning) in MEANINGS.items()
         if name in values
     ]
-
-
-def _interval_text(low: float, high: float) -> str:
-    return f"[{low:.3g}, {high:.3g}]" if math.isfinite(high) else "not determined"
 
 
 def _score_row(score: FieldScore) -> tuple[str, ...]:

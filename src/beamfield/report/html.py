@@ -161,7 +161,7 @@ def _findings(calibration: Calibration) -> str:
 
 
 def _parameters(calibration: Calibration, log: SensorLog, *, for_amcl: bool) -> str:
-    rows = [row.cells for row in parameter_rows(calibration)]
+    rows = parameter_rows(calibration)
     return (
         f'<h2 id="parameters">Parameters</h2>\n{table(HEADER, rows, right=(1,), css="parameters")}\n'
         f"<p>{_interval_line(calibration)}</p>\n{f'<p>{AMCL}</p>' if for_amcl else ''}\n"

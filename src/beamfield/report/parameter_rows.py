@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
+from typing import NamedTuple
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.intrinsic.learning_problem import SIGMA_FLOOR_SHARE
@@ -40,9 +41,8 @@ def with_unit(name: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-@dataclass(frozen=True)
-class ParameterRow:
-    """One parameter, ready to print.
+class ParameterRow(NamedTuple):
+    """The row of a parameter under `HEADER`.
 
     Parameters
     ----------
@@ -52,33 +52,18 @@ class ParameterRow:
         The fitted value with as many digits as its interval supports; "below ..." where the fit stopped at the floor of
         sigma_hit, "-" where the log does not determine it.
     interval
-        (low, high) of the 95% interval, in the same digits; None if there is none.
+        The 95% interval in the same digits, or why there is none.
     unit
-        SI unit; empty for shares.
+        SI unit; "-" for shares.
     meaning
         One line for people.
-    held
-        Whether the value was given, not fitted.
     """
 
     name: str
     value: str
-    interval: tuple[str, str] | None
+    interval: str
     unit: str
     meaning: str
-    held: bool
-
-    @property
-    def interval_text(self) -> str:
-        """The interval, or why there is none."""
-        if self.interval is not None:
-            return f"[{self.interval[0]}, {self.interval[1]}]"
-        return "held" if self.held else "not determined"
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """The row of a table under `HEADER`."""
-        return self.name, self.value, self.interval_text, self.unit or "-", self.meaning
 
 
 def parameter_rows(calibration: Calibration) -> list[ParameterRow]:
@@ -114,16 +99,13 @@ def _in_use(calibration: Calibration, name: str) -> bool:
 def _row(calibration: Calibration, name: str) -> ParameterRow:
     value = float(getattr(calibration.parameters, name))
     interval = finite_interval(calibration, name)
-    half_width = (interval[1] - interval[0]) / 2 if interval is not None else math.nan
-    decimals = decimals_for(half_width)
-    return ParameterRow(
-        name,
-        _value(calibration, name, value, interval, decimals),
-        None if interval is None else (_fixed(interval[0], decimals), _fixed(interval[1], decimals)),
-        MEANINGS[name][0],
-        _meaning(calibration, name),
-        name in calibration.options.hold,
-    )
+    if interval is None:
+        decimals, text = decimals_for(math.nan), "held" if name in calibration.options.hold else "not determined"
+    else:
+        decimals = decimals_for((interval[1] - interval[0]) / 2)
+        text = f"[{_fixed(interval[0], decimals)}, {_fixed(interval[1], decimals)}]"
+    said = _value(calibration, name, value, interval, decimals)
+    return ParameterRow(name, said, text, MEANINGS[name][0] or "-", _meaning(calibration, name))
 
 
 def _value(

@@ -69,7 +69,7 @@ def plot_calibration(result: Calibration) -> Figure:
 
 def calibration_markup(result: Calibration) -> str:
     """Return the table of the parameters, the warnings and the main picture as HTML for a notebook."""
-    parameters = table(HEADER, [row.cells for row in parameter_rows(result)], right=(1,))
+    parameters = table(HEADER, parameter_rows(result), right=(1,))
     warnings = "".join(f"<p>{escaped(line)}</p>" for line in warning_lines(result.findings))
     picture = svg_panel(plot_calibration(result), "readings", "Measured ranges and the fitted density").markup
     return f'{parameters}{warnings}<div style="max-width: 700px; background: white">{picture}</div>'

@@ -18,7 +18,7 @@ LEAST_ROOM = 18
 
 def parameter_table(calibration: Calibration, *, width: int | None = None) -> str:
     """Return a table of the parameters, each with its 95% interval and its unit, `width` characters wide."""
-    return aligned(HEADER, [row.cells for row in parameter_rows(calibration)], right=(1,), width=width)
+    return aligned(HEADER, parameter_rows(calibration), right=(1,), width=width)
 
 
 def readings_line(calibration: Calibration) -> str:
@@ -98,6 +98,11 @@ def plus_minus(value: float, standard_error: float, *, sign: bool = False) -> st
         return "-inf" if value < 0 else "+inf" if value > 0 else "unknown"
     text = f"{value:{plus}.4f}"
     return f"{text} ± {standard_error:.4f}" if math.isfinite(standard_error) else text
+
+
+def interval_text(low: float, high: float) -> str:
+    """Return an interval in three digits; in words where it is open above."""
+    return f"[{low:.3g}, {high:.3g}]" if math.isfinite(high) else "not determined"
 
 
 def aligned(

@@ -6,7 +6,7 @@ import math
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.report.page_section import Level
-from beamfield.report.parameter_rows import noise_at_ranges, parameter_rows
+from beamfield.report.parameter_rows import finite_interval, noise_at_ranges, parameter_rows
 
 # Rivals that the verdict names, and what to call them; the uniform is in the table.
 RIVALS = {"nav2 defaults": "nav2's defaults", "ROS 1 defaults": "ROS 1's"}
@@ -77,7 +77,7 @@ def _noise(calibration: Calibration) -> str:
     sigma = next(row for row in parameter_rows(calibration) if row.name == "sigma_hit")
     interval = calibration.intervals.intervals.get("sigma_hit")
     vague = ", hardly determined by this log" if interval is not None and interval[1] > VAGUE * interval[0] else ""
-    bounds = sigma.interval_text if sigma.interval else f"({sigma.interval_text})"
+    bounds = sigma.interval if finite_interval(calibration, sigma.name) else f"({sigma.interval})"
     return f"{sigma.name} is {sigma.value} m {bounds}{vague}."
 
 

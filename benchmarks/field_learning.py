@@ -29,7 +29,8 @@ from beamfield.calibration.field.learning import learn_field_parameters
 from beamfield.calibration.pose_windows import HELD_OUT, Rivals, Window, WindowOptions, cut_windows, draw_rivals
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
+from beamfield.models.beam_parameters import EXTENSIONS
+from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import SensorLog
 from real_logs import LOGS, read_log_and_map
@@ -93,7 +94,7 @@ def ways(world: World) -> dict[str, tuple[LikelihoodFieldParameters, float]]:
     """Return what each way of learning makes of the log: parameters and exponent."""
     learned = learn_field_parameters(world.log, world.grid, n_beams=N_BEAMS)
     beam = calibrate(world.log, world.grid).parameters
-    of_beam = LikelihoodFieldParameters.from_beam_parameters(beam, drop=NOT_OF_A_FIELD)
+    of_beam = LikelihoodFieldParameters.from_beam_parameters(beam, drop=EXTENSIONS)
     density = replace(learned.parameters, sigma_hit=learned.density_sigma)
     return {
         "nav2's defaults": (NAV2_DEFAULTS, 1.0),

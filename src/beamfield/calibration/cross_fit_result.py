@@ -16,10 +16,9 @@ from beamfield.calibration.options import CalibrationOptions
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.maps.drawn_walls import LINE, ranges_to_walls
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import WEIGHTS, BeamParameters
 from beamfield.sensors import SensorLog
 
-WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 # Fewer beams in clutter say too little of the weights there.
 FEWEST_IN_CLUTTER = 500
 # Two maps that differ by more than this many sigma_hit show two surfaces; such beams are not hits.

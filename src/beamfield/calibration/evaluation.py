@@ -16,6 +16,8 @@ from beamfield.short_repr import short_repr
 
 # An extra parameter must gain this much per held-out measurement, nats, and twice its standard error.
 LEAST_GAIN = 0.005
+# Half the width of a 95% interval in standard errors.
+Z95 = 1.96
 
 
 def _normalized(z_hit: float, z_short: float, z_max: float, z_rand: float) -> BeamParameters:

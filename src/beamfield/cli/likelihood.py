@@ -179,7 +179,8 @@ def _counting(
 
 def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldParameters, list[str]]:
     """Return the parameters of the field, and what was left out."""
-    from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters, SavedLikelihoodField
+    from beamfield.models.beam_parameters import EXTENSIONS
+    from beamfield.models.field_parameters import LikelihoodFieldParameters, SavedLikelihoodField
 
     if arguments.params is None:
         return LikelihoodFieldParameters.from_beam_parameters(_parameters(arguments, scan)), []
@@ -187,7 +188,7 @@ def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldPa
     if isinstance(read, SavedLikelihoodField):
         return read, []
     notes = options.left_out_of_a_field(read, arguments.params)
-    return LikelihoodFieldParameters.from_beam_parameters(read, drop=NOT_OF_A_FIELD), notes
+    return LikelihoodFieldParameters.from_beam_parameters(read, drop=EXTENSIONS), notes
 
 
 def _local_map(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> OccupancyGrid:

@@ -243,8 +243,8 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     from beamfield.io.parameters.beam_model_file import read_beam_model
     from beamfield.maps.solids import hollowed
     from beamfield.models.beam import BeamModel
-    from beamfield.models.beam_parameters import BeamParameters
-    from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters, SavedLikelihoodField
+    from beamfield.models.beam_parameters import EXTENSIONS, BeamParameters
+    from beamfield.models.field_parameters import LikelihoodFieldParameters, SavedLikelihoodField
     from beamfield.models.likelihood_field import LikelihoodFieldModel
 
     is_field = arguments.model != "beam"
@@ -260,7 +260,7 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     notes: list[str] = []
     if not isinstance(saved, SavedLikelihoodField):
         notes = options.left_out_of_a_field(parameters, arguments.params)
-        parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=NOT_OF_A_FIELD)
+        parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=EXTENSIONS)
     return LikelihoodFieldModel(hollowed(grid), parameters, **how), notes
 
 

@@ -226,12 +226,12 @@ def read_field_or_beam_model(path: Path) -> SavedLikelihoodField | SavedBeamMode
 
 def left_out_of_a_field(beam: BeamParameters, path: Path) -> list[str]:
     """Return notes on what the beam model in a file has that a likelihood field with its parameters cannot have."""
-    from beamfield.models.field_parameters import NOT_OF_A_FIELD
+    from beamfield.models.beam_parameters import EXTENSIONS
 
     return [
         f"{path} has {name} {getattr(beam, name):.4g}, which a likelihood field cannot have; it is left out. The "
         "likelihood_field.yaml of beamfield calibrate is learned without."
-        for name in NOT_OF_A_FIELD
+        for name in EXTENSIONS
         if getattr(beam, name) != 0.0
     ]
 

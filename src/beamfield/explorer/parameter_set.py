@@ -22,7 +22,7 @@ from beamfield.io.parameters.likelihood_field_file import (
 )
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
-from beamfield.models.beam_parameters import WEIGHT_SUM_TOLERANCE, BeamParameters
+from beamfield.models.beam_parameters import WEIGHT_SUM_TOLERANCE, WEIGHTS, BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, Scan
@@ -38,7 +38,6 @@ _FILES: dict[str, tuple[str, Callable[..., str]]] = {
     "beam": ("beam_model.yaml", beam_model_text),
     "field": ("likelihood_field.yaml", likelihood_field_text),
 }
-WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 # In the files of other programs a field looks at none of the first, and rays do not look at the second.
 OF_RAYS, OF_FIELDS = {"z_short", "z_max", "lambda_short"}, {"laser_likelihood_max_dist"}
 

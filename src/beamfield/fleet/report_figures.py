@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
+from beamfield.calibration.evaluation import Z95
 from beamfield.fleet.daily import DailySeries, FaultKind
 from beamfield.fleet.drift import FEWEST_DAYS, Drift
 from beamfield.fleet.hierarchy import Hierarchy, Pooled
@@ -108,7 +109,7 @@ def _drift_panel(name: str, drift: Drift, mine: DailySeries, others: Sequence[Da
         axes.plot([day.toordinal() for day in one.days], one.values * scale, color=DATA, linewidth=0.8, zorder=1)
     days, values = [day.toordinal() for day in mine.days], mine.values * scale
     axes.errorbar(
-        days, values, 1.96 * mine.standard_errors * scale, color=HELD_OUT, linewidth=1.8, elinewidth=1.0, marker="o",
+        days, values, Z95 * mine.standard_errors * scale, color=HELD_OUT, linewidth=1.8, elinewidth=1.0, marker="o",
         markersize=3.5, zorder=3,
     )  # fmt: skip
     if drift.since is not None:

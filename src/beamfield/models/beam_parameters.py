@@ -8,6 +8,9 @@ import numpy as np
 
 from beamfield.arguments import LARGEST, check_fields, check_magnitude, require
 
+# The weights of the four causes, and what is beyond the chapter.
+WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
+EXTENSIONS = ("range_offset", "sigma_slope")
 # Weights may miss the sum 1 by this much: they are read from files with a few digits.
 WEIGHT_SUM_TOLERANCE = 1e-6
 
@@ -63,7 +66,7 @@ class BeamParameters:
             value = float(getattr(self, item.name))
             require(np.isfinite(value), item.name, "a finite number", value)
             object.__setattr__(self, item.name, value)
-        for name in ("z_hit", "z_short", "z_max", "z_rand"):
+        for name in WEIGHTS:
             require(0.0 <= getattr(self, name) <= 1.0, name, "a weight in [0, 1]", getattr(self, name))
         total = self.z_hit + self.z_short + self.z_max + self.z_rand
         require(abs(total - 1.0) <= WEIGHT_SUM_TOLERANCE, "z_hit + z_short + z_max + z_rand", "1", round(total, 9))

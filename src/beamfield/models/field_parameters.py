@@ -9,10 +9,7 @@ import numpy as np
 
 from beamfield.arguments import check_fields, check_magnitude, require
 from beamfield.errors import InvalidInputError
-from beamfield.models.beam_parameters import WEIGHT_SUM_TOLERANCE, BeamParameters
-
-# What a beam model may have and a likelihood field has not.
-NOT_OF_A_FIELD = ("range_offset", "sigma_slope")
+from beamfield.models.beam_parameters import EXTENSIONS, WEIGHT_SUM_TOLERANCE, BeamParameters
 
 
 @dataclass(frozen=True)
@@ -87,9 +84,9 @@ class LikelihoodFieldParameters:
         InvalidInputError
             If z_hit and z_rand are both 0, or the beam model has an offset or a slope that `drop` does not name.
         """
-        if unknown := set(drop) - set(NOT_OF_A_FIELD):
-            raise InvalidInputError(f"drop: expected names among {', '.join(NOT_OF_A_FIELD)}, got {min(unknown)!r}")
-        for name in NOT_OF_A_FIELD:
+        if unknown := set(drop) - set(EXTENSIONS):
+            raise InvalidInputError(f"drop: expected names among {', '.join(EXTENSIONS)}, got {min(unknown)!r}")
+        for name in EXTENSIONS:
             value = getattr(parameters, name)
             if value != 0.0 and name not in drop:
                 raise InvalidInputError(

@@ -7,7 +7,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
-from beamfield.calibration.evaluation import block_standard_error
+from beamfield.calibration.evaluation import Z95, block_standard_error
 from beamfield.calibration.opposite_beams import opposite_pairs
 from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray
@@ -24,7 +24,6 @@ MOST_PAIRS = 12_000
 FEWEST_HITS = 50
 RANGE_BINS = 12
 BEARING_BINS = 180
-Z95 = 1.96
 
 
 def noise_by_range(calibration: Calibration) -> ReportFigure | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.localization.fitted_poses import CrossFittedPoses
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import WEIGHTS, BeamParameters
 from beamfield.report.as_json import plain
 from beamfield.report.escape import escaped
 from beamfield.report.page import table
@@ -20,7 +20,6 @@ TITLE = "Poses fitted to the map"
 # The parameters that are used, and two that show what would be hidden.
 USED, SWAPPED, SAME = "used", "swapped", "same"
 ROWS = {USED: ("even (used)", "odd beams"), SWAPPED: ("odd", "even beams"), SAME: ("odd", "the same odd beams")}
-NAMES = ("z_hit", "z_short", "z_max", "z_rand")
 NUMBERS = (2, 3, 4, 5, 6)
 
 
@@ -98,12 +97,12 @@ def _noise(results: Mapping[str, Calibration], name: str) -> float:
 
 
 def _header(results: Mapping[str, Calibration]) -> tuple[str, ...]:
-    return ("beams", "poses from", f"noise at {_range(results):.1f} m", *NAMES)
+    return ("beams", "poses from", f"noise at {_range(results):.1f} m", *WEIGHTS)
 
 
 def _rows(results: Mapping[str, Calibration]) -> list[tuple[str, ...]]:
     return [
         (*(ROWS[name] if len(results) > 1 else ("all", "the same beams")), f"{_noise(results, name):.4f}",
-         *(f"{getattr(_of(results, name), weight):.4f}" for weight in NAMES))
+         *(f"{getattr(_of(results, name), weight):.4f}" for weight in WEIGHTS))
         for name in results
     ]  # fmt: skip

@@ -16,13 +16,13 @@ from beamfield.calibration.evaluation import LEAST_GAIN
 from beamfield.calibration.hit_forms import Candidate
 from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import EXTENSIONS, BeamParameters
 from beamfield.report.as_json import plain
 from beamfield.report.escape import escaped
 from beamfield.report.figures import report_figures
 from beamfield.report.page import LEVELS, document, figure, finding_list, fold, table, verdict_box
 from beamfield.report.page_section import PageSection
-from beamfield.report.parameter_rows import EXTENSIONS, HEADER, parameter_rows
+from beamfield.report.parameter_rows import HEADER, parameter_rows
 from beamfield.report.text_table import form_line, form_name, plus_minus, score_rows
 from beamfield.report.verdict import doubts, verdict, verdict_level
 from beamfield.scan_fit.calibration_fit import CalibrationFit

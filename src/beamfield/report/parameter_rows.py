@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.intrinsic.learning_problem import SIGMA_FLOOR_SHARE
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import EXTENSIONS, BeamParameters
 
 # Unit and meaning; shares have no unit.
 MEANINGS = {
@@ -27,10 +27,6 @@ MEANINGS = {
 
 # Expected ranges, metres, at which the noise of a hit is spelt out where it grows.
 NOISE_AT = (1.0, 3.0, 10.0)
-
-# Beyond the chapter: shown only where they are fitted or held.
-EXTENSIONS = ("range_offset", "sigma_slope")
-
 
 HEADER = ("parameter", "value", "95% interval", "unit", "meaning")
 
@@ -67,7 +63,7 @@ class ParameterRow(NamedTuple):
 
 
 def parameter_rows(calibration: Calibration) -> list[ParameterRow]:
-    """Return the parameters in the order of the chapter, then the extensions that are in use."""
+    """Return the parameters in the order of the chapter, then what is beyond it where that is fitted or held."""
     return [
         _row(calibration, item.name)
         for item in fields(BeamParameters)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from beamfield.calibration.calibrate import Calibration
-from beamfield.calibration.evaluation import block_standard_error
+from beamfield.calibration.evaluation import Z95, block_standard_error
 from beamfield.calibration.time_split import time_blocks
 from beamfield.report.colours import DATA, FIT, QUIET
 from beamfield.report.drawing import WIDE, filled_steps, legend, new_axes
 from beamfield.report.panel import ReportFigure, one_picture
 
 PIT_BINS = 20
-# Half the width of a 95% interval in standard errors.
-Z95 = 1.96
 
 
 def pit_histogram(calibration: Calibration) -> ReportFigure:

@@ -27,7 +27,7 @@ from beamfield.scan_fit.surprise import beam_side
 from beamfield.sensors import SensorLog, usable_ranges
 
 FIT_NAME, FIT_TITLE = "scan-fit", "Does each scan fit the map, and is the robot lost?"
-FIT_SOURCE = "Section 6.3.1, (6.2)"
+FIT_SOURCE = "Section 6.1, (6.2); Table 6.1"
 # Length of the arrow for the robot's heading, as a share of the picture's side.
 ARROW = 0.09
 # How a beam disagrees, in the order of `beam_side`: hit, short, through the wall, no return.
@@ -61,7 +61,7 @@ def fit_over_time(fits: ScanFits, reference: ScanFitReference, *, own: bool) -> 
         f"{np.sqrt(LEVEL * (1 - LEVEL) / max(reference.n_effective, 1.0)):.2g}. Below: running probability that the "
         "robot is elsewhere than its pose says, from successive scans; a crowd or a moved cupboard lowers p-values, "
         f"but should leave this line low. The first scan's stamp is {fits.stamps[0]:.3f} s.{silent}",
-        "Section 6.1, (6.2); Table 6.1",
+        FIT_SOURCE,
         cloud=len(fits) >= 1500,
     )
 

@@ -19,14 +19,12 @@ from beamfield.calibration.odometry.result import OdometryCalibration
 from beamfield.errors import InvalidInputError
 from beamfield.finding import Finding
 from beamfield.localization.replay import ReplayedFilter
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import WEIGHTS, BeamParameters
 from beamfield.stacks.coordinates import FitInputs, FitSpace
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.syntax.parameter_text import ParameterSection, Syntax, Value
 
 SQRT_2PI = math.sqrt(2.0 * math.pi)
-# In the order of `BeamParameters.weights`.
-WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 # Stacks' short readings vanish at rate 0 instead of becoming uniform.
 LEAST_RATE = 0.01
 # Where a stack leaves out the normaliser of short readings, it is that of an expected range of this share of max_range.

@@ -37,8 +37,8 @@ from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam_parameters import BeamParameters
-from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
+from beamfield.models.beam_parameters import EXTENSIONS, BeamParameters
+from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.short_repr import short_repr
@@ -233,7 +233,7 @@ def learn_field_parameters(
     if windows:
         fields["learned, exponent 1"] = (values, 1.0, fit.mixture)
     if beam_parameters is not None and beam_parameters.z_hit + beam_parameters.z_rand > 0.0:
-        of_beam = LikelihoodFieldParameters.from_beam_parameters(beam_parameters, drop=NOT_OF_A_FIELD)
+        of_beam = LikelihoodFieldParameters.from_beam_parameters(beam_parameters, drop=EXTENSIONS)
         fields["beam model's, exponent 1"] = (judge.log_likelihoods(of_beam, judging), 1.0, _mixture(of_beam))
     scores = [_score(name, *of, judged, blocks, judge) for name, of in fields.items()]
     nothing = 0.0 if windows else None

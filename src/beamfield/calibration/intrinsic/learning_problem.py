@@ -13,7 +13,7 @@ from beamfield.calibration.intrinsic.likelihood import N_PARAMETERS, OFFSET, RAT
 from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import WEIGHTS, BeamParameters
 from beamfield.models.blind_zone import check_limits
 
 # The likelihood grows without bound where all hits are exact; sigma_hit stops at this share of the maximum range, far
@@ -127,7 +127,7 @@ def learning_problem(
 
 
 def _check_held_values(hold: Mapping[str, float]) -> None:
-    weights = [name for name in ("z_hit", "z_short", "z_max", "z_rand") if name in hold]
+    weights = [name for name in WEIGHTS if name in hold]
     total = sum(hold[name] for name in weights)
     if total > 1.0 + 1e-9 or (len(weights) == 4 and abs(total - 1.0) > 1e-6):
         names = ", ".join(weights)

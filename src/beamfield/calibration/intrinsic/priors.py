@@ -11,8 +11,7 @@ from beamfield.arguments import check_fields, require
 from beamfield.calibration.intrinsic.likelihood import N_PARAMETERS, RATE, VARIANCE
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-
-_WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
+from beamfield.models.beam_parameters import WEIGHTS
 
 
 @dataclass(frozen=True)
@@ -51,9 +50,9 @@ class IntrinsicPriors:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        unknown = sorted(set(self.weight_counts) - set(_WEIGHTS))
+        unknown = sorted(set(self.weight_counts) - set(WEIGHTS))
         if unknown:
-            raise InvalidInputError(f"weight_counts: expected names among {', '.join(_WEIGHTS)}, got {unknown[0]!r}")
+            raise InvalidInputError(f"weight_counts: expected names among {', '.join(WEIGHTS)}, got {unknown[0]!r}")
         counts = {**self.weight_counts, "sigma_beams": self.sigma_beams, "short_beams": self.short_beams}
         for name, count in counts.items():
             require(0.0 <= count < np.inf, name, "a number of beams >= 0", count)
@@ -64,7 +63,7 @@ class IntrinsicPriors:
     @property
     def counts(self) -> FloatArray:
         """Imagined beams per cause: hit, short, max, rand."""
-        return np.array([float(self.weight_counts.get(name, 0.0)) for name in _WEIGHTS])
+        return np.array([float(self.weight_counts.get(name, 0.0)) for name in WEIGHTS])
 
     def log_density(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return the log prior up to a constant, nats, with its gradient (8,) and Hessian (8, 8) at theta (8,)."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import WEIGHTS, BeamParameters
 from beamfield.stacks.coordinates import REACHES, SHORTEST_REACH, SIGMAS, FitInputs, FitSpace, log_of, share
-from beamfield.stacks.stack import LEAST_RATE, SQRT_2PI, WEIGHTS, Model, with_sum_one
+from beamfield.stacks.stack import LEAST_RATE, SQRT_2PI, Model, with_sum_one
 
 
 def amcl_from_chapter(learned: BeamParameters, typical_range: float, cell: float) -> dict[str, float]:  # noqa: ARG001

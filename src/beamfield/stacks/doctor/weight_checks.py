@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 from beamfield.finding import Finding
+from beamfield.models.beam_parameters import WEIGHTS
 from beamfield.stacks.doctor.subject import Subject
-from beamfield.stacks.stack import FIELD_PRODUCT, WEIGHTS
+from beamfield.stacks.stack import FIELD_PRODUCT
 
 SUM_TOLERANCE = 1e-3
 # A hit that is cut off nearer than this many sigma still weighs something there.

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from typing import Any
 
 from beamfield.finding import Finding
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import WEIGHTS, BeamParameters
 from beamfield.stacks.coordinates import FitInputs, FitSpace, log_of, share
 from beamfield.stacks.f1tenth.filter import F1tenthFilterParameters, f1tenth_filter
 from beamfield.stacks.f1tenth.motion import F1tenthMotion, dispersions
 from beamfield.stacks.f1tenth.parameters import F1tenthParameters
 from beamfield.stacks.f1tenth.table import F1tenthTable
-from beamfield.stacks.stack import SURE, WEIGHTS, Model, Stack, StackFilter, Weight, models
+from beamfield.stacks.stack import SURE, Model, Stack, StackFilter, Weight, models
 from beamfield.stacks.syntax.parameter_text import ParameterSection
 
 NODE = "particle_filter"

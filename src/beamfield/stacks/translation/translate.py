@@ -7,11 +7,12 @@ from typing import Any
 
 from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
+from beamfield.models.beam_parameters import WEIGHTS
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.formula import Formula
 from beamfield.stacks.registry import stack_named
-from beamfield.stacks.stack import SQRT_2PI, WEIGHTS, Model, Stack, counterpart
+from beamfield.stacks.stack import SQRT_2PI, Model, Stack, counterpart
 from beamfield.stacks.syntax.parameter_text import Value
 from beamfield.stacks.translation.neutral_field import chapter_values, field_values, needed_limit, read_field
 from beamfield.stacks.translation.translation import (

@@ -14,7 +14,7 @@ from beamfield.geometry import FloatArray
 from beamfield.io.files.yaml_file import read_yaml
 from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.models.beam_density import beam_log_density
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import EXTENSIONS, BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.stacks.formula import Formula
 from beamfield.stacks.registry import stack_named
@@ -218,7 +218,7 @@ def _densities(
 
 
 def _chapter_beam(own: _Own) -> dict[str, Value]:
-    return {name: value for name, value in asdict(own.plain).items() if name not in ("range_offset", "sigma_slope")}
+    return {name: value for name, value in asdict(own.plain).items() if name not in EXTENSIONS}
 
 
 def _field(own: _Own, notes: list[str]) -> NeutralField:

@@ -15,9 +15,10 @@ from scipy.special import erf
 from beamfield.kernels.many_beams import fill_scan_log_likelihood
 from beamfield.kernels.threads import set_threads
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam import BeamModel, beam_log_density, beam_responsibilities, sample_beams
-from beamfield.models.beam_density import as_view
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_sampling import sample_beams
 from beamfield.sensors import RangeFinder, Scan
 from tables import print_table
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.maps.raycast import RayCaster
-from beamfield.models.beam import beam_log_density
+from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, Scan
 

@@ -22,7 +22,8 @@ from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam import BeamModel, beam_log_density
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.scan_fit.conformal import conformal_p_values
 from beamfield.scan_fit.lost import lost_probability

@@ -30,7 +30,7 @@ from beamfield.kernels.threads import set_threads
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
-from beamfield.models.beam import beam_log_density
+from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.sonar import SonarModel
 from beamfield.sensors import RangeFinder, SensorLog

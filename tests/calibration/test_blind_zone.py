@@ -19,8 +19,10 @@ from beamfield.calibration.intrinsic.learning_problem import learning_problem
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam import BeamModel, beam_log_density, sample_beams
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_sampling import sample_beams
 from beamfield.models.sonar import SonarModel
 from beamfield.scan_fit.surprise import beam_surprise
 from beamfield.sensors import RangeFinder, SensorLog

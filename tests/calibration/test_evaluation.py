@@ -15,8 +15,9 @@ from beamfield.calibration.evaluation import (
     timeline,
     uniform_parameters,
 )
-from beamfield.models.beam import beam_log_density, sample_beams
+from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_sampling import sample_beams
 
 TRUTH = BeamParameters(0.75, 0.1, 0.05, 0.1, 0.05, 0.4)
 

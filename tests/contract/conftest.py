@@ -20,6 +20,7 @@ from beamfield.maps.markers import MarkerMap
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.ceiling_camera import CeilingCamera
 from beamfield.models.cell_difference import CellDifferenceModel
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.histogram_matching import HistogramMatchingModel
@@ -29,7 +30,7 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
 from beamfield.models.map_matching import MapMatchingModel
-from beamfield.models.marker import CeilingCamera, MarkerDetections, MarkerModel, MarkerParameters
+from beamfield.models.marker import MarkerDetections, MarkerModel, MarkerParameters
 from beamfield.models.sonar import SonarModel
 from beamfield.sensors import RangeFinder, Scan
 from tests.contract.densities import (

@@ -7,7 +7,8 @@ from scipy import stats
 
 from beamfield.detections import UNKNOWN, Detections
 from beamfield.geometry import wrap_angle
-from beamfield.models.beam import BeamModel, beam_pit
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_density import beam_pit
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.line import LineModel
 from beamfield.models.line_detections import LineDetections

@@ -15,7 +15,8 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.range_table import RangeTable
 from beamfield.maps.raycast import RayCaster
 from beamfield.models import range_mixture
-from beamfield.models.beam import BeamModel, beam_log_density
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
 from beamfield.sensors import RangeFinder, Scan
 from tests.reference.beam_tables import beam_range_finder_model, expected_range_by_small_steps

@@ -8,17 +8,10 @@ from scipy import stats
 
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam import (
-    BeamModel,
-    beam_cdf,
-    beam_components,
-    beam_log_density,
-    beam_pit,
-    beam_responsibilities,
-    sample_beams,
-)
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_density import beam_cdf, beam_components, beam_log_density, beam_pit, beam_responsibilities
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.models.beam_sampling import beams_from_uniforms
+from beamfield.models.beam_sampling import beams_from_uniforms, sample_beams
 from beamfield.sensors import RangeFinder, Scan
 
 MAX_RANGE = 5.0

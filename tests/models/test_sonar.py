@@ -8,7 +8,8 @@ import pytest
 from beamfield.errors import InvalidInputError
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam import BeamModel, beam_log_density
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.sonar import SonarModel
 from beamfield.sensors import RangeFinder, Scan

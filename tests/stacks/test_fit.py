@@ -249,7 +249,7 @@ def test_nav2s_beam_values_are_the_learned_density_up_to_a_factor(office):
     assert learned
     model = build_model("nav2", "beam", office, values)
     z = np.array([3.98, 4.0, 4.1, 5.0])  # not short of z* = 4: the short term has no normaliser in nav2
-    from beamfield.models.beam import beam_log_density
+    from beamfield.models.beam_density import beam_log_density
     from beamfield.stacks.emulation.emulator import RayEvidence
 
     settings = {name: getattr(values, name) for name in model.evidence_settings}

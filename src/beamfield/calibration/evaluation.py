@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
 from beamfield.geometry import FloatArray
-from beamfield.models.beam import beam_log_density, beam_pit, beam_responsibilities
+from beamfield.models.beam_density import beam_log_density, beam_pit, beam_responsibilities
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.short_repr import short_repr
 

@@ -14,31 +14,13 @@ from beamfield.kernels.device import require_device
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_density import (
-    CAUSES,
     as_view,
-    beam_cdf,
-    beam_components,
-    beam_log_density,
-    beam_pit,
-    beam_responsibilities,
 )
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.models.beam_sampling import sample_beams
 from beamfield.models.blind_zone import counted_from
 from beamfield.models.range_mixture import GridCaster, RangeMixtureModel, RangeSource
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.short_repr import short_repr
-
-__all__ = [
-    "CAUSES",
-    "BeamModel",
-    "beam_cdf",
-    "beam_components",
-    "beam_log_density",
-    "beam_pit",
-    "beam_responsibilities",
-    "sample_beams",
-]
 
 
 @dataclass(frozen=True, eq=False)

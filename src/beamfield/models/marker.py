@@ -19,8 +19,6 @@ from beamfield.models.ceiling_camera import CeilingCamera
 from beamfield.models.heading_density import HeadingDensity
 from beamfield.short_repr import short_repr
 
-__all__ = ["CeilingCamera", "MarkerDetections", "MarkerMap", "MarkerModel", "image_of_corners"]
-
 
 @dataclass(frozen=True, eq=False)
 class MarkerDetections:

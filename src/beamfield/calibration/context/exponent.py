@@ -30,8 +30,6 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.range_mixture import RangeMixtureModel
 from beamfield.sensors import SensorLog
 
-__all__ = ["ExponentLearning", "LearnedExponent", "learn_exponent"]
-
 # Six to a decade; coverage and score are smooth between them. 1 takes beams for independent.
 EXPONENTS: FloatArray = np.geomspace(1e-4, 1.0, 25)
 # Posteriors are to hold the truth in so large a share of cases, in regions of this probability.

@@ -21,8 +21,6 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.range_mixture import RangeMixtureModel
 from beamfield.sensors import SensorLog
 
-__all__ = ["ContextLearning", "ContextScore", "learn_in_context"]
-
 # Steps of the quasi-Newton method; it stops before if the windows that stop it have not gained in so many.
 MOST_STEPS = 30
 PATIENCE = 5

@@ -43,8 +43,6 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.short_repr import short_repr
 
-__all__ = ["FieldLearning", "FieldScore", "learn_field_parameters"]
-
 # Three parameters from fewer readings than this are noise.
 FEWEST_READINGS = 100
 

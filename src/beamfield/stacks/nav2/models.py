@@ -9,8 +9,6 @@ from beamfield.stacks.amcl.field import AmclField
 from beamfield.stacks.amcl.field_prob import AmclFieldProb
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 
-__all__ = ["Nav2Beam", "Nav2Field", "Nav2FieldProb"]
-
 
 class Nav2Field(AmclField[Nav2Parameters]):
     """nav2's likelihood_field; see `AmclField`.

@@ -13,8 +13,6 @@ from beamfield.stacks.amcl.field_prob import AmclFieldProb
 from beamfield.stacks.amcl.parameters import ROS_1_NAMES
 from beamfield.stacks.ros1.parameters import Ros1Parameters
 
-__all__ = ["Ros1Beam", "Ros1Field", "Ros1FieldProb"]
-
 
 def _own(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(ROS_1_NAMES.get(name, name) for name in names)

@@ -256,11 +256,7 @@ def _notes(origin: Mapping[str, Any]) -> str:
 
 
 def _duration(calibration: Calibration) -> str:
-    stamps = calibration.table.stamps
-    if len(stamps) == 0:
-        return ""
-    share = float(np.mean(calibration.held_out))
-    span = float(np.ptp(stamps))
+    share, span = float(np.mean(calibration.held_out)), float(np.ptp(calibration.table.stamps))
     return f"The used scans span {span:.0f} s; {share:.0%} of their beams, in whole blocks of time, are held out."
 
 

@@ -67,9 +67,6 @@ class PlaceBeams:
 
     __repr__ = short_repr
 
-    def __len__(self) -> int:
-        return len(self.visit)
-
 
 def judge_beams(
     log: SensorLog,

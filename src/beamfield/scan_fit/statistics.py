@@ -106,10 +106,6 @@ class _Judge:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not isinstance(self.model, RangeMixtureModel | LikelihoodFieldModel):
-            raise InvalidInputError(
-                "model: expected a BeamModel, SonarModel or LikelihoodFieldModel, got " + type(self.model).__name__
-            )
         if isinstance(self.model, RangeMixtureModel):
             self.stopping = stopping_rays(self.model)
         self.window = _windows(self.finder.bearings)

@@ -118,7 +118,7 @@ def gather_evidence(model: StackModel[Any, Any], log: SensorLog, windows: Sequen
         gathered.append(tuple(scans))
     if coder is None:
         return WindowEvidence(len(windows), n_near, tuple(gathered), None, n_scans)
-    return WindowEvidence(len(windows), n_near, (), coder.result(), n_scans)
+    return WindowEvidence(len(windows), n_near, (), coder.result(evidence), n_scans)
 
 
 def score_windows(
@@ -149,7 +149,6 @@ class _Coder:
         self._n_known = 0
         self._known, self._places = np.empty(0, np.uint64), np.empty(0, np.int8)
         self._slots = np.empty(0, np.int32)
-        self._last: FieldEvidence | None = None
         self._enlarge(1 << 12)
 
     def add(self, evidence: FieldEvidence) -> None:
@@ -166,13 +165,9 @@ class _Coder:
         self._codes.append(codes)
         n, k = evidence.distances.shape
         self._n_beams.append(np.full(n, k, np.int64))
-        self._last = evidence
 
-    def result(self) -> FieldCodes:
-        """Return what was gathered."""
-        last = self._last
-        if last is None:
-            raise ValueError("no evidence was added")
+    def result(self, last: FieldEvidence) -> FieldCodes:
+        """Return what was gathered, with the settings and the kind of distances of the last evidence."""
         known = self._known[: self._n_known].view(np.float64).astype(last.distances.dtype)
         values = replace(
             last, beams=np.arange(len(known)), distances=known[None], places=self._places[None, : self._n_known].copy()

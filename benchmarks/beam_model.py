@@ -5,8 +5,6 @@ Run: python benchmarks/beam_model.py
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,6 +18,7 @@ from beamfield.models.beam_density import as_view, beam_log_density, beam_respon
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.sensors import RangeFinder, Scan
+from measure import Call, least_seconds
 from tables import print_table
 
 MAX_RANGE = 20.0
@@ -128,15 +127,9 @@ def row(what: str, poses: str, n: int, threads: int | str, ns: float, baseline: 
     }
 
 
-def least_ns(call: Callable[[], object], n: int, repeats: int = 15) -> float:
-    """Return the least processor time of a call over n pairs in ns each, after one to compile."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.thread_time_ns()
-        call()
-        times.append((time.thread_time_ns() - start) / n)
-    return min(times)
+def least_ns(call: Call, n: int) -> float:
+    """Return the least processor time of a call over n pairs, in ns each."""
+    return least_seconds(call) / n * 1e9
 
 
 if __name__ == "__main__":

@@ -24,10 +24,12 @@ from beamfield.kernels.device import IN_SIMULATOR, require_device
 
 if __package__:
     from benchmarks import raycast
-    from benchmarks.tables import least_seconds, print_table
+    from benchmarks.measure import least_elapsed
+    from benchmarks.tables import print_table
 else:
     import raycast
-    from tables import least_seconds, print_table
+    from measure import least_elapsed
+    from tables import print_table
 
 SECTOR_BYTES = 32
 # Of a ray in that building; see docs/evidence/raycasting.md.
@@ -99,9 +101,9 @@ def _row(
     result = on_gpu()
     first = time.perf_counter() - start
     errors = np.abs(result - on_cpu())
-    seconds = {"CPU": least_seconds(on_cpu, 3), "whole": least_seconds(on_gpu, 7)}
+    seconds = {"CPU": least_elapsed(on_cpu, 3), "whole": least_elapsed(on_gpu, 7)}
     if alone is not None:
-        seconds["kernel"] = least_seconds(alone, 7)
+        seconds["kernel"] = least_elapsed(alone, 7)
     row = {"what": name, **{f"{what} [10^9/s]": n / s / 1e9 for what, s in seconds.items()}}
     share = n / seconds["kernel"] * loads * SECTOR_BYTES / bandwidth if alone is not None else ""
     row |= {"largest difference": float(errors.max()), "share beyond 1e-4": float(np.mean(errors > 1e-4))}
@@ -191,7 +193,7 @@ def _bandwidth() -> float:
         target.copy_to_device(source)
         cuda.synchronize()
 
-    return 2 * COPIED_BYTES / least_seconds(copy, 5)
+    return 2 * COPIED_BYTES / least_elapsed(copy, 5)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from beamfield.kernels.threads import set_threads
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
-from measure import take_turns
+from measure import least_seconds
 from tables import print_table
 
 N_POSES = 20_000
@@ -55,11 +55,6 @@ def row(what: str, n: int, z: Detections, poses: np.ndarray, call: Callable[[], 
     ns = least_seconds(call) / (len(poses) * len(z)) * 1e9
     shape = {"landmarks": n, "detections": len(z), "poses": len(poses)}
     return {"correspondence": what, **shape, "ns per pose x detection": ns}
-
-
-def least_seconds(call: Callable[[], object]) -> float:
-    """Return the least processor time of a call on one thread."""
-    return float(take_turns({"": call})[""].min())
 
 
 def numpy_log_likelihood(landmarks: LandmarkMap, z: Detections, poses: np.ndarray) -> np.ndarray:

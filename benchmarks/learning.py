@@ -10,8 +10,6 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -24,12 +22,12 @@ from beamfield.calibration.intrinsic.m_steps import m_step
 from beamfield.kernels.threads import set_threads
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
+from measure import median_seconds
 
 MAX_RANGE = 30.0
 TRUTH = BeamParameters(0.75, 0.12, 0.05, 0.08, 0.04, 0.2, 0.03, 0.01)
 FORMS = {"chapter": {}, "offset and slope": {"fit_offset": True, "fit_sigma_slope": True}}
 SIZES = (100_000, 1_000_000, 10_000_000)
-N_REPEATS = 9
 
 
 def run(sizes: tuple[int, ...] = SIZES) -> list[dict[str, Any]]:
@@ -87,20 +85,10 @@ def time_passes(z: np.ndarray, expected: np.ndarray, options: dict[str, bool]) -
     slope = bool(options)
     statistics = likelihood.expected_statistics(theta, slope_is_free=slope)
     return (
-        timed(lambda: likelihood.expected_statistics(theta, slope_is_free=slope)),
-        timed(lambda: m_step(statistics, theta, problem)),
-        timed(lambda: likelihood.derivatives(theta)),
+        median_seconds(lambda: likelihood.expected_statistics(theta, slope_is_free=slope)),
+        median_seconds(lambda: m_step(statistics, theta, problem)),
+        median_seconds(lambda: likelihood.derivatives(theta)),
     )
-
-
-def timed(call: Callable[[], object]) -> float:
-    """Median processor time of a call: the machine may be shared."""
-    times = []
-    for _ in range(N_REPEATS):
-        start = time.thread_time()
-        call()
-        times.append(time.thread_time() - start)
-    return median(times)
 
 
 def main(sizes: tuple[int, ...] = SIZES) -> None:

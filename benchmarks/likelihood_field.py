@@ -38,7 +38,7 @@ def run() -> list[dict[str, Any]]:
     rows = []
     for name, poses in patterns.items():
         call = partial(model.log_likelihood_gradient, scan, poses)
-        ns = least_ns(call, len(poses) * N_BEAMS, repeats=max(15, 200_000 // len(poses)))
+        ns = least_ns(call, len(poses) * N_BEAMS)
         rows.append(row("gradient, bilinear", name, len(poses), 1, ns, None))
     return rows
 

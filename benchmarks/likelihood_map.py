@@ -25,7 +25,8 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.simulation.floor_plan import draw_floor_plan
-from tables import least_seconds, print_table
+from measure import least_elapsed
+from tables import print_table
 
 PARAMETERS = BeamParameters(z_hit=0.8, z_short=0.08, z_max=0.02, z_rand=0.1, sigma_hit=0.1, lambda_short=0.4)
 RESOLUTION, HEADINGS = 0.10, 72
@@ -73,7 +74,7 @@ def time_matching(name: str, what: str, grid: OccupancyGrid, local: OccupancyGri
 def one_row(name: str, kind: str, n_beams: int | None, model: Any, z: Any, grid: OccupancyGrid, **options: Any) -> Any:
     """Return the seconds for all poses, after a run on few poses that compiles."""
     few = likelihood_map(model, z, grid, resolution=RESOLUTION, headings=2, **options)
-    seconds = least_seconds(
+    seconds = least_elapsed(
         lambda: likelihood_map(model, z, grid, resolution=RESOLUTION, headings=HEADINGS, **options), repeats=2
     )
     return {

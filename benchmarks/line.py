@@ -14,7 +14,8 @@ from beamfield.kernels.threads import set_threads
 from beamfield.maps.lines import LineMap
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
-from tables import least_seconds, print_table
+from measure import least_seconds
+from tables import print_table
 
 N_POSES, N_LINES = 20_000, 20
 N_ASSIGNMENT_POSES = 500
@@ -53,7 +54,7 @@ def main() -> None:
 
 
 def row(what: str, n_poses: int, threads: Any, call: Callable[[], object]) -> dict[str, Any]:
-    seconds = least_seconds(call, 40)
+    seconds = least_seconds(call)
     return {
         "correspondence": what,
         "poses": n_poses,

@@ -37,6 +37,7 @@ from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from measure import median_seconds
 from tables import print_table
 
 N_POSES = 2000
@@ -63,7 +64,7 @@ def world() -> tuple[OccupancyGrid, SensorLog]:
 
 def mapping(log: SensorLog) -> list[dict[str, Any]]:
     """Measure building the map of the whole log."""
-    seconds = median(lambda: build_map(log))
+    seconds = median_seconds(lambda: build_map(log))
     beams = int(np.count_nonzero(log.ranges < log.finder.max_range))
     cells = float(log.ranges[log.ranges < log.finder.max_range].sum() / 0.05)
     return [
@@ -88,10 +89,10 @@ def matching(grid: OccupancyGrid, log: SensorLog) -> list[dict[str, Any]]:
         model = MapMatchingModel(grid)
         error = np.abs(plain(poses) - model.correlation(z, poses)).max()
         seconds = {
-            "NumPy float32": median(lambda plain=plain, poses=poses: plain(poses), 3),
-            "correlation": median(partial(model.correlation, z, poses)),
-            "cell difference": median(lambda z=z, poses=poses: CellDifferenceModel(grid).log_likelihood(z, poses)),
-            "histograms": median(lambda z=z, poses=poses: HistogramMatchingModel(grid).log_likelihood(z, poses)),
+            "NumPy float32": median_seconds(lambda plain=plain, poses=poses: plain(poses), 3),
+            "correlation": median_seconds(partial(model.correlation, z, poses)),
+            "cell difference": median_seconds(partial(CellDifferenceModel(grid).log_likelihood, z, poses)),
+            "histograms": median_seconds(partial(HistogramMatchingModel(grid).log_likelihood, z, poses)),
         }
         rows.append(
             {
@@ -109,7 +110,7 @@ def searching(grid: OccupancyGrid, log: SensorLog) -> list[dict[str, Any]]:
     """Measure the search in large windows."""
     rng = np.random.default_rng(3)
     search = GlobalSearch(grid)
-    build = median(lambda: GlobalSearch(grid), 3)
+    build = median_seconds(lambda: GlobalSearch(grid), 3)
     search.search(log.scan(0), SearchWindow(log.poses[0], 2.0, 2.0, 0.5))
     seconds, scored, leads = [], [], {True: [], False: []}
     for i in np.linspace(0, len(log) - 1, N_SEARCHES).astype(int):
@@ -141,10 +142,10 @@ def searching(grid: OccupancyGrid, log: SensorLog) -> list[dict[str, Any]]:
 def seconds_per_candidate(search: GlobalSearch, scan: Scan) -> float:
     """Return the time of one candidate's sum, from 40,000 of them beside each other."""
     points = hit_points(scan.ranges, scan.finder)
-    cells = np.floor(search.grid.to_cells(points)).astype(np.int32).T[::-1]
+    cells = np.ascontiguousarray(np.floor(search.grid.to_cells(points)).astype(np.int32).T[::-1])[None]
     field = np.ascontiguousarray(search._field)[None, None]
     bounds = np.empty((1, 200, 200), np.int64)
-    return median(lambda: kernels.fill_coarse_bounds(np.ascontiguousarray(cells)[None], field, bounds)) / bounds.size
+    return median_seconds(partial(kernels.fill_coarse_bounds, cells, field, bounds)) / bounds.size
 
 
 def plain_correlation(
@@ -221,17 +222,6 @@ def correlation_over_map_cells(grid: OccupancyGrid, local: OccupancyGrid, pose: 
     m, z = of_map[both].astype(np.float64), of_local[both].astype(np.float64)
     mean = 0.5 * (m.mean() + z.mean())
     return float(((m - mean) @ (z - mean)) / np.sqrt(np.square(m - mean).sum() * np.square(z - mean).sum()))
-
-
-def median(call: Callable[[], object], repeats: int = 5) -> float:
-    """Return the median seconds of a call, after one run that compiles."""
-    call()
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How `make bench` measures: calls take turns, by the processor time of the thread that works."""
+"""How benchmarks measure: on one thread, by its processor time, calls that are compared take turns."""
 
 from __future__ import annotations
 
@@ -44,6 +44,27 @@ def take_turns(calls: Mapping[str, Call], rounds: int = ROUNDS) -> dict[str, NDA
                 call()
             seconds[name][i] = (time.thread_time() - start) / repeats[name]
     return seconds
+
+
+def least_seconds(call: Call) -> float:
+    """Return the least processor seconds of a call on one thread."""
+    return float(take_turns({"": call})[""].min())
+
+
+def median_seconds(call: Call, rounds: int = ROUNDS) -> float:
+    """Return the median processor seconds of a call on one thread."""
+    return float(np.median(take_turns({"": call}, rounds)[""]))
+
+
+def least_elapsed(call: Call, repeats: int) -> float:
+    """Return the least seconds of a call by the clock, for one that works on several threads, or on a GPU."""
+    call()
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)
 
 
 def _repeats(call: Call) -> int:

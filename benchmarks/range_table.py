@@ -22,9 +22,11 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, Scan
 
 if __package__:
+    from benchmarks.measure import Call, take_turns
     from benchmarks.raycast import FIELD_OF_VIEW, MAX_RANGE, N_BEAMS, RESOLUTION, building, cases, textbook
     from benchmarks.tables import print_table
 else:
+    from measure import Call, take_turns
     from raycast import FIELD_OF_VIEW, MAX_RANGE, N_BEAMS, RESOLUTION, building, cases, textbook
     from tables import print_table
 
@@ -68,7 +70,7 @@ def run(repeats: int = 7) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     rows = []
     for pattern, poses in cases(occupied, rng).items():
         finder = ahead if pattern == "random" else fan
-        calls: dict[str, Callable[[], object]] = {"plain": textbook(occupied, poses, finder)}
+        calls: dict[str, Call] = {"plain": textbook(occupied, poses, finder)}
         for name, source in {"exact": caster, **tables}.items():
             calls[name] = casting(source, poses, finder)
         rows.append({"what": f"casting, {pattern}", **nanoseconds(calls, len(poses) * finder.n_beams, repeats)})
@@ -88,16 +90,9 @@ def casting(source: RayCaster | RangeTable, poses: FloatArray, finder: RangeFind
     return lambda: source.expected_ranges(poses, finder)
 
 
-def nanoseconds(calls: dict[str, Callable[[], object]], n: int, repeats: int) -> dict[str, float]:
-    """Return the nanoseconds per ray of each call; the calls take turns, after one run each that compiles."""
-    least = dict.fromkeys(calls, np.inf)
-    for i in range(repeats + 1):
-        for name, call in calls.items():
-            began = time.thread_time()
-            call()
-            if i > 0:
-                least[name] = min(least[name], time.thread_time() - began)
-    return {name: round(seconds / n * 1e9, 1) for name, seconds in least.items()}
+def nanoseconds(calls: dict[str, Call], n: int, rounds: int) -> dict[str, float]:
+    """Return the least nanoseconds per ray of each call."""
+    return {name: round(float(seconds.min()) / n * 1e9, 1) for name, seconds in take_turns(calls, rounds).items()}
 
 
 def main() -> None:

@@ -10,8 +10,6 @@ thread's processor time in runs in which the methods take turns, so that a busy 
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
@@ -29,9 +27,11 @@ from beamfield.sensors import RangeFinder
 
 if __package__:
     from benchmarks import limit
+    from benchmarks.measure import Call, take_turns
     from benchmarks.tables import print_table
 else:
     import limit
+    from measure import Call, take_turns
     from tables import print_table
 
 RESOLUTION = 0.05
@@ -60,7 +60,7 @@ def run(repeats: int = 7) -> list[dict[str, Any]]:
     for name, poses in cases(occupied, rng).items():
         if name == "random":
             sensor = single
-            cast: Callable[[], object] = partial(caster.cast, poses, MAX_RANGE)
+            cast: Call = partial(caster.cast, poses, MAX_RANGE)
         else:
             sensor = finder
             cast = partial(caster.expected_ranges, poses, finder)
@@ -176,17 +176,9 @@ def cases(occupied: NDArray[np.bool_], rng: np.random.Generator) -> dict[str, ND
     return {"clustered": clustered, "spread": anywhere(n), "random": anywhere(N_RAYS)}
 
 
-def medians(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Return the median processor seconds of each call; they take turns, after one run each that compiles."""
-    for call in calls.values():
-        call()
-    seconds: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(repeats):
-        for name, call in calls.items():
-            start = time.thread_time()
-            call()
-            seconds[name].append(time.thread_time() - start)
-    return {name: statistics.median(values) for name, values in seconds.items()}
+def medians(calls: dict[str, Call], rounds: int) -> dict[str, float]:
+    """Return the median processor seconds of each call."""
+    return {name: float(np.median(seconds)) for name, seconds in take_turns(calls, rounds).items()}
 
 
 def textbook(

@@ -12,7 +12,6 @@ DATA is a folder with `sonar_corridor` and `crazyflie_multiranger`; without it, 
 from __future__ import annotations
 
 import sys
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -36,9 +35,11 @@ from beamfield.models.sonar import SonarModel
 from beamfield.sensors import RangeFinder, SensorLog
 
 if __package__:
+    from benchmarks.measure import take_turns
     from benchmarks.raycast import building
     from benchmarks.tables import print_table
 else:
+    from measure import take_turns
     from raycast import building
     from tables import print_table
 
@@ -83,8 +84,7 @@ def cone_times() -> list[dict[str, Any]]:
                 "cones": partial(cones.cast, poses, width, MAX_RANGE),
                 "fan": partial(rays.expected_ranges, poses, fan),
             }
-            best = least_seconds(calls)
-            ns = {what: value / N_CONES * 1e9 for what, value in best.items()}
+            ns = {what: seconds.min() / N_CONES * 1e9 for what, seconds in take_turns(calls, 25).items()}
             exact = calls["cones"]()
             too_long = calls["fan"]().min(axis=1) - exact
             rows.append(
@@ -231,17 +231,6 @@ def drawn_log(grid: OccupancyGrid, finder: RangeFinder, n_scans: int, seed: int)
     poses = poses[clear][:n_scans]
     ranges = np.array([scan.ranges for scan in SonarModel(grid, TRUTH, finder=finder).sample(poses, rng=rng)])
     return SensorLog(finder, 5.0 * np.arange(n_scans), ranges, poses, np.full((n_scans, 3), np.nan))
-
-
-def least_seconds(calls: dict[str, Any]) -> dict[str, float]:
-    """Return the least processor time of each call; they take turns."""
-    best = dict.fromkeys(calls, np.inf)
-    for _ in range(25):
-        for what, call in calls.items():
-            start = time.thread_time()
-            call()
-            best[what] = min(best[what], time.thread_time() - start)
-    return best
 
 
 if __name__ == "__main__":

@@ -33,7 +33,8 @@ from beamfield.stacks.mrpt.rays import MrptRays
 from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import parameter_class
-from tables import least_seconds, print_table
+from measure import least_seconds
+from tables import print_table
 
 ORACLE = Path(os.environ.get("BEAMFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared")) / "oracle"
 KINDS = (Nav2Field, Nav2FieldProb, Nav2Beam, BelugaField, BelugaFieldProb, BelugaBeam)
@@ -274,7 +275,7 @@ def _flat(folder: Path, name: str) -> dict[str, Any]:
 
 
 def _least_ms(function: Callable[[], object]) -> str:
-    return f"{1e3 * least_seconds(function, 15):.2f}"
+    return f"{1e3 * least_seconds(function):.2f}"
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
-"""What most benchmarks need: the least time of a call, and tables in Markdown."""
+"""Tables of benchmarks in Markdown."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 
@@ -22,14 +21,3 @@ def print_table(
         values = (row.get(column, "") for column in columns)
         shown = (f"{v:.{digits}g}" if digits is not None and isinstance(v, float) else str(v) for v in values)
         print(f"| {' | '.join(shown)} |", flush=True)
-
-
-def least_seconds(call: Callable[[], object], repeats: int) -> float:
-    """Return the least time of a call, after one run that compiles: other programs only add to it."""
-    call()
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds)

@@ -56,9 +56,9 @@ class Run:
         os.close(self._errors)
         return text.decode()
 
-    def wait(self, seconds: float = 600.0) -> int:
-        """Return the exit code; a run that takes longer is killed, and its code is negative."""
-        end = time.monotonic() + seconds
+    def wait(self) -> int:
+        """Return the exit code; a run that takes longer than ten minutes is killed, and its code is negative."""
+        end = time.monotonic() + 600.0
         while not self.ended():
             if time.monotonic() > end:
                 return self.kill()

@@ -35,8 +35,7 @@ class Outcome:
     ----------
     kind
         "ok", "refused" (a documented error), "system" (the file system speaking); else the fault: "exception",
-        "result",
-        "message", "warning", "slow", "memory", "leftover".
+        "result", "message", "warning", "slow", "memory", "leftover".
     text
         What happened, for people; the traceback if there is one.
     place

@@ -158,12 +158,12 @@ def stack_file(result: Any) -> None:
         assert name == entry.name
         assert 0 <= entry.start <= entry.stop <= len(section.text)
     # What is written again as it is stays as it is.
-    plain = {
-        name: entry.value for name, entry in section.entries.items() if entry.value is not None and not entry.filled_in
+    numbers = {
+        name: entry.value
+        for name, entry in section.entries.items()
+        if isinstance(entry.value, (int, float)) and abs(entry.value) < 1e300 and not entry.filled_in
     }
-    plain = {name: value for name, value in plain.items() if not isinstance(value, (str, float)) or value == value}
-    plain = {name: value for name, value in plain.items() if not isinstance(value, str)}
-    assert section.with_values({n: v for n, v in plain.items() if abs(v) < 1e300}) == section.text
+    assert section.with_values(numbers) == section.text
     assert parameters is not None
 
 

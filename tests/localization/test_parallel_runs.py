@@ -179,6 +179,8 @@ import os, signal, sys, time
 from beamfield.localization import parallel_runs
 from beamfield.kernels.threads import set_threads
 if __name__ == "__main__":
+    # Shells let processes in the background ignore it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     parallel_runs.START_AFTER_S = 0.0
     try:
         with set_threads(2), parallel_runs.parallel_runs():

@@ -226,7 +226,8 @@ def _find(
     from beamfield.localization.parallel_runs import run_each
     from beamfield.localization.replay import reference_start
 
-    first, start = reference_start(log)
+    position, heading = _spread(arguments)
+    first, start = reference_start(log, sd_position=position, sd_heading=heading)
     part = log[first:]
     tasks: dict[str, tuple[SensorLog, PoseBelief | None, int]] = {}
     if arguments.from_anywhere:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.jit import kernel
+from beamfield.kernels.jit import integer, kernel
 from beamfield.kernels.scan_field import (
     NONE,
     NX,
@@ -26,6 +26,8 @@ from beamfield.kernels.scan_field import (
 )
 
 Floats = NDArray[np.float64]
+# Stride of all end points.
+EVERY = integer(1)
 
 
 @kernel
@@ -133,7 +135,7 @@ def settle(points: Floats, pose: Floats, sigma: float, lever: float, threshold: 
     gradient, information, move = np.zeros(3), np.zeros((3, 3)), np.empty(3)
     scale = np.array([1.0, 1.0, 1.0 / lever])
     for _ in range(steps):
-        _, weight, _, _ = linearise(points, pose, 1, sigma, 4.0 * sigma, view, gradient, information)
+        _, weight, _, _ = linearise(points, pose, EVERY, sigma, 4.0 * sigma, view, gradient, information)
         if weight < 1e-9:
             return
         size = _newton_step(gradient, information, weight, scale, threshold, 0.0, move)
@@ -149,7 +151,11 @@ def settle(points: Floats, pose: Floats, sigma: float, lever: float, threshold: 
 def _newton_step(gradient: Floats, information: Floats, weight: float, scale: Floats, threshold: float, damping: float,
                  move: Floats) -> float:  # fmt: skip
     """Fill move (3,) with a damped step along the determined directions; return its length in metres of end points."""
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale) / weight)
+    scaled = np.empty((3, 3))
+    for a in range(3):  # np.outer takes three seconds to compile
+        for b in range(3):
+            scaled[a, b] = information[a, b] * (scale[a] * scale[b]) / weight
+    values, vectors = np.linalg.eigh(scaled)
     move[:] = 0.0
     square = 0.0
     for v in range(3):

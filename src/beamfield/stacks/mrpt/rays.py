@@ -134,5 +134,5 @@ def steps_at_once(grid: OccupancyGrid) -> NDArray[np.int16]:
     """Return what `march` knows of each cell (rows, cols)."""
     # By k steps a ray gets no further than ceil(STEP k) cells to any side, and the cells nearer than this are free.
     clear = ndimage.distance_transform_cdt(np.pad(grid.free, 1), metric="chessboard")[1:-1, 1:-1]
-    steps = np.floor((clear - 1) / STEP) + 1
+    steps = np.minimum(np.floor((clear - 1) / STEP) + 1, np.iinfo(np.int16).max)
     return np.where(grid.free, steps, np.where(grid.occupied, OCCUPIED, UNKNOWN)).astype(np.int16)

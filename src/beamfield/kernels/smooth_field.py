@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.elementary import exp_2
+from beamfield.kernels.elementary import MANY_TURNS, cos_sin, exp_2
 from beamfield.kernels.field import FrameView
 from beamfield.kernels.jit import inlined_fast_kernel, inlined_kernel, kernel
 
@@ -134,16 +134,22 @@ def log_slope(distance: float, view: SmoothView) -> float:
 # --- passes over pairs ------------------------------------------------------------------------------------------------
 
 
-@kernel
-def fill_positions(pose: Floats, frame: FrameView, ends: Floats, u: Floats, v: Floats) -> tuple[float, float]:
-    """Fill u, v (k,) with the positions (6.32) of end points (2, k), in cells; return the pose's cosine and sine."""
-    dx, dy, heading = pose[0] - frame.x, pose[1] - frame.y, pose[2] - frame.yaw
+@inlined_kernel
+def fill_positions(poses: Floats, i: int, frame: FrameView, ends: Floats, first: int, u: Floats, v: Floats
+                   ) -> tuple[float, float]:  # fmt: skip
+    """Fill u and v from `first` on with the positions (6.32) of end points (2, k), in cells, seen from pose number i.
+
+    Return the pose's cosine and sine. Numba counts who holds an array at each call and each slice, hence none per pose.
+    """
+    dx, dy, heading = poses[i, 0] - frame.x, poses[i, 1] - frame.y, poses[i, 2] - frame.yaw
     x = (dx * frame.cos + dy * frame.sin) * frame.cells_per_metre + frame.offset
     y = (dy * frame.cos - dx * frame.sin) * frame.cells_per_metre + frame.offset
-    c, s = math.cos(heading), math.sin(heading)
-    for j in range(u.size):
-        u[j] = x + c * ends[0, j] - s * ends[1, j]
-        v[j] = y + s * ends[0, j] + c * ends[1, j]
+    c, s = cos_sin(heading) if abs(heading) <= MANY_TURNS else (math.cos(heading), math.sin(heading))
+    # LLVM vectorises only if it knows that no index is negative.
+    to, n = np.uintp(first), np.uintp(ends.shape[1])
+    for j in range(n):
+        u[to + j] = x + c * ends[0, j] - s * ends[1, j]
+        v[to + j] = y + s * ends[0, j] + c * ends[1, j]
     return c, s
 
 
@@ -218,14 +224,14 @@ def turn_into_slopes(n: int, lower: Singles, upper: Singles, view: SmoothView, a
         a[i], b[i] = slope * da if near else 0.0, slope * db if near else 0.0
 
 
-@kernel
-def log_product(factors: Floats) -> float:
+@inlined_kernel
+def log_product(factors: Floats, first: int, stop: int) -> float:
     """Return the logarithm of a product of positive numbers, which must not overflow."""
-    n = factors.size - factors.size % 4
+    whole = first + (stop - first) // 4 * 4
     p, q, r, s = 1.0, 1.0, 1.0, 1.0
-    for j in range(0, n, 4):
+    for j in range(first, whole, 4):
         p, q, r, s = p * factors[j], q * factors[j + 1], r * factors[j + 2], s * factors[j + 3]
-    for j in range(n, factors.size):
+    for j in range(whole, stop):
         p *= factors[j]
     return math.log((p * q) * (r * s))
 
@@ -263,9 +269,7 @@ def fill_pairs(poses: Floats, start: int, m: int, frame: FrameView, ends: Floats
     k, n = ends.shape[1], m * ends.shape[1]
     off = np.uint64((table.rows - OFF_ROWS) * table.cols)
     for i in range(m):
-        u, v = pairs.a[i * k : (i + 1) * k], pairs.b[i * k : (i + 1) * k]
-        c, s = fill_positions(poses[start + i], frame, ends, u, v)
-        directions[i, 0], directions[i, 1] = c, s
+        directions[i, 0], directions[i, 1] = fill_positions(poses, start + i, frame, ends, i * k, pairs.a, pairs.b)
     fill_corners(n, table.rows, table.cols, pairs.a, pairs.b, pairs.cell)
     if table.uniform.size > 0:
         leave_out_uniform(n, table.uniform, table.cols, off, pairs.a, pairs.b, pairs.cell)
@@ -312,7 +316,7 @@ def fill_sums(poses: Floats, frame: FrameView, ends: Floats, table: Table, view:
         for i in range(m):
             total = k * view.log_rand
             for j in range(0, k, n_factors):
-                total += log_product(gains[i * k + j : i * k + min(j + n_factors, k)])
+                total += log_product(gains, i * k + j, i * k + min(j + n_factors, k))
             out[start + i] = total
 
 

@@ -73,14 +73,21 @@ def find_surfaces(
             joined[i] = gap <= noisy_gap or (gap <= LONGEST_GAP and sine >= SMALLEST_SINE * gap)
 
 
-@kernel
 def range_noise(bearings: Floats, ranges: Floats, joined: NDArray[np.bool_]) -> float:
     """Return the standard deviation of a scan's ranges, metres: how far they lie off the line of both neighbours.
 
     Bearings (k,) in order; 0 if fewer than three end points have neighbours on both sides.
     """
+    off = np.empty(joined.size)
+    n = fill_deviations(bearings, ranges, joined, off)
+    # The median absolute deviation: corners and edges do not count. NumPy's own: Numba's takes a second to compile.
+    return float(np.median(off[:n]) / 0.6745) if n >= 3 else 0.0
+
+
+@kernel
+def fill_deviations(bearings: Floats, ranges: Floats, joined: NDArray[np.bool_], out: Floats) -> int:
+    """Fill out (k,) with how far end points lie off the line of both neighbours, metres; return how many have both."""
     k = joined.size
-    off = np.empty(k)
     n = 0
     for i in range(k):
         h, j = (i - 1) % k, (i + 1) % k
@@ -94,10 +101,9 @@ def range_noise(bearings: Floats, ranges: Floats, joined: NDArray[np.bool_]) -> 
         a = math.sin(behind) / math.sin(ahead + behind)
         b = math.sin(ahead) / math.sin(ahead + behind)
         expected = 1.0 / (a / max(ranges[j], 1e-6) + b / max(ranges[h], 1e-6))
-        off[n] = abs(ranges[i] - expected) / math.sqrt(1.0 + a * a + b * b)
+        out[n] = abs(ranges[i] - expected) / math.sqrt(1.0 + a * a + b * b)
         n += 1
-    # The median absolute deviation: corners and edges do not count.
-    return float(np.median(off[:n]) / 0.6745) if n >= 3 else 0.0
+    return n
 
 
 @kernel

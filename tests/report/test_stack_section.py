@@ -56,16 +56,45 @@ def test_choices_at_the_end_of_what_was_tried_are_named(fit, names):
     assert all(finding.why and finding.do for finding in found)
 
 
+class Runs(list):
+    """Runs on a stretch, of which so many lost the robot."""
+
+    def __init__(self, n: int, n_lost: int = 0) -> None:
+        super().__init__([None] * n)
+        self.n_lost = n_lost
+
+
+def replayed(*, lost: tuple[int, int] = (0, 0), is_better: bool = True, stretches: int = 4) -> StackResult:
+    """What replay decided by 15 runs on each stretch, before and after."""
+    kept = SimpleNamespace(
+        filter=SimpleNamespace(model="beam", particles=AmclFilterParameters()), shift=0.0, sensor="fitted"
+    )
+    before, after = ([Runs(15, n), *[Runs(15)] * (stretches - 1)] for n in lost)
+    fit = fitted()
+    return StackResult((fit,), fit, SimpleNamespace(
+        before=kept, chosen=kept, trials_before=before, trials_finalist=after, is_better=is_better
+    ))  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("n", "is_better", "names"), [(3, True, ["stack-few-stretches"]), (3, False, []), (4, True, [])]
 )
 def test_values_that_few_places_have_judged_are_named(n, is_better, names):
-    kept = SimpleNamespace(
-        filter=SimpleNamespace(model="beam", particles=AmclFilterParameters()), shift=0.0, sensor="fitted"
-    )
-    replay = SimpleNamespace(before=kept, chosen=kept, trials_before=[()] * n, is_better=is_better)
-    fit = fitted()
-    assert [finding.name for finding in stack_findings(StackResult((fit,), fit, replay))] == names
+    found = stack_findings(replayed(is_better=is_better, stretches=n))
+    assert [finding.name for finding in found] == names
+
+
+@pytest.mark.parametrize(
+    ("lost", "is_better", "said"),
+    [
+        ((15, 6), True, None),
+        ((15, 7), True, "The filter loses the robot in 7 of 60 runs, with the new values, too."),
+        ((7, 0), False, "The filter loses the robot in 7 of 60 runs, and no values tried are better for sure."),
+    ],
+)
+def test_a_filter_that_no_values_keep_on_its_path_is_named(lost, is_better, said):
+    found = [one.text for one in stack_findings(replayed(lost=lost, is_better=is_better))]
+    assert found == ([said] if said else [])
 
 
 def test_the_verdict_says_what_replay_decided_and_what_stands_against_it(monkeypatch):

@@ -12,6 +12,8 @@ from beamfield.stacks.registry import model_named
 
 # A z_hit below this share of z_rand looks like a mistake to people.
 SMALL_Z_HIT = 0.1
+# A filter that loses the robot in more of the runs does not localize it, whatever its mean error.
+MANY_LOST = 0.1
 
 
 def stack_findings(result: StackResult) -> list[Finding]:
@@ -20,6 +22,7 @@ def stack_findings(result: StackResult) -> list[Finding]:
     about_trial = () if result.trial is fit.before else _about_search(fit)
     z_hit = small_z_hit(fit.model.stack, fit.model.model, result.parameters)
     return [
+        *_about_lost_runs(result),
         *_about_places(result),
         *_about_model(result),
         *_about_map(result),
@@ -28,6 +31,26 @@ def stack_findings(result: StackResult) -> list[Finding]:
         *_about_coverage(result),
         *about_trial,
     ]
+
+
+def _about_lost_runs(result: StackResult) -> Iterator[Finding]:
+    if result.replay is None:
+        return
+    better = result.replay.is_better
+    trials = result.replay.trials_finalist if better else result.replay.trials_before
+    n_lost, n = sum(one.n_lost for one in trials), sum(map(len, trials))
+    if n_lost > MANY_LOST * n:
+        values = "with the new values, too" if better else "and no values tried are better for sure"
+        yield Finding(
+            "stack-still-lost",
+            "warning",
+            f"The filter loses the robot in {n_lost} of {n} runs, {values}.",
+            {"lost": n_lost, "runs": n},
+            why="Values mend neither a map that shows too little of what is there, nor odometry that slips, nor a "
+            "sensor that sees too little.",
+            do="Look at the other warnings first. Map the place anew where beamfield check says that it has changed, "
+            "then calibrate again.",
+        )
 
 
 def _about_places(result: StackResult) -> Iterator[Finding]:

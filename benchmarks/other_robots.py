@@ -198,10 +198,11 @@ def main(seeds: Sequence[int]) -> None:
 
 def outcome(
     laser: Laser, changes: tuple[float, int] | None, seed: int, folder: Path, *, seconds: float = 120.0,
-    resolution: float = 0.05, file: File = File(),
+    resolution: float = 0.05, file: File = File(), plan: OccupancyGrid | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return what the filter does before and after."""
-    plan, rng = draw_floor_plan(seed=seed, resolution=resolution), np.random.default_rng(seed)
+    """Return what the filter does before and after; the plan is an office's unless given."""
+    plan = draw_floor_plan(seed=seed, resolution=resolution) if plan is None else plan
+    rng = np.random.default_rng(seed)
     world = plan if changes is None else changed(plan, *changes, rng)
     write_map(plan if changes is None else bent(plan, rng), folder / "map.yaml", mode="trinary")
     learned, judged = (laser.drive(world, duration, 10 * seed + i) for i, duration in enumerate((seconds, 90.0)))

@@ -21,7 +21,7 @@ from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_start import Course
 from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings
-from beamfield.localization.turn_errors import TurnErrors, turn_errors, turn_findings
+from beamfield.localization.turn_errors import TurnErrors, turn_errors, turn_findings, turns_of_scans
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.outdated_map import find_outdated_map
@@ -197,11 +197,11 @@ def find_course(
         odometry = odometry_from_scans(log, lambda done, total: report("aligning scans", done, total))
     drive = prepare(log, odometry)
     _check_points(drive)
-    _check_moves(drive, "odometry" if log.has_odometry else "scans (the log has no odometry)")
+    _check_moves(drive, log)
     try:
         found = choose_course(log, grid, drive, walls_of(grid), initial, report)
     except TrajectoryNotFoundError as error:
-        wrong = (mount_of_scans(log) or scan_delay(log)) if log.has_odometry else None
+        wrong = (mount_of_scans(log) or scan_delay(log) or turns_of_scans(log)) if log.has_odometry else None
         if wrong is None or wrong.severity == "info":
             raise
         raise TrajectoryNotFoundError(f"{error}. {wrong.text} {wrong.do}") from error
@@ -259,11 +259,14 @@ def _check_points(drive: Drive) -> None:
         )
 
 
-def _check_moves(drive: Drive, source: str) -> None:
+def _check_moves(drive: Drive, log: SensorLog) -> None:
     if drive.way[-1] < LEAST_WAY:
+        source = "odometry" if log.has_odometry else "scans (the log has no odometry)"
+        dead = turns_of_scans(log) if log.has_odometry else None
         raise TooLittleDataError(
             f"by its {source}, the robot moves {np.hypot(*drive.steps[:, :2].T).sum():.2f} m and turns "
             f"{np.degrees(np.abs(drive.steps[:, 2]).sum()):.0f} degrees in all; a trajectory needs a drive"
+            + ("" if dead is None else f". {dead.text} {dead.do}")
         )
 
 
@@ -314,6 +317,8 @@ def _result(log: SensorLog, fitted: Smoothed, turns: TurnErrors | None, trusted:
 
 def _no_odometry() -> Finding:
     return Finding(
-        "no-odometry", "warning", "The log has no odometry: each scan was aligned with the one before in its place.",
-        why="Along corridors, scans alone slide.", do="Record the odometry (docs/recording.md).",
+        "no-odometry", "warning",
+        "The log has no odometry at the times of its scans: each was aligned with the one before in its place.",
+        why="Along corridors, scans alone slide.",
+        do="Record the odometry (docs/recording.md); if you did, beamfield inspect says whether two clocks differ.",
     )  # fmt: skip

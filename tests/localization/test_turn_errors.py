@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.geometry import between, chained
-from beamfield.localization.turn_errors import turn_errors, turn_findings, turns_of_scans
+from beamfield.localization.turn_errors import drift_at_rest, turn_errors, turn_findings, turns_of_scans
 from beamfield.sensors import SensorLog
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 
@@ -79,3 +79,15 @@ def test_odometry_that_turns_far_too_little_or_too_much_is_named_without_poses(s
     steps = between(log.odometry[:-1], log.odometry[1:]) * [1.0, 1.0, share]
     found = turns_of_scans(replace(log, odometry=chained(log.odometry[0], steps)))
     assert (said in found.text) if said else found is None
+
+
+@pytest.mark.parametrize(
+    ("rate", "named"), [(0.02, "by 1.1 degrees a second to the left"), (-0.02, "right"), (0.001, "")]
+)
+def test_odometry_that_turns_while_the_robot_stands_is_named(rate: float, named: str):
+    stands = np.arange(len(NOWHERE)) < 100  # 20 s
+    moves = np.where(stands[:, None], 0.0, [0.1, 0.0, 0.05])
+    drifts = np.where(stands, 0.2 * rate, 0.0)[:, None] * [0.0, 0.0, 1.0]
+    found = list(drift_at_rest(SimpleNamespace(stamps=STAMPS, steps=moves + drifts), chained(np.zeros(3), moves)))
+    assert [named in one.text for one in found] == ([True] if named else [])
+    assert not list(drift_at_rest(SimpleNamespace(stamps=STAMPS[:2], steps=moves[:1]), np.zeros((2, 3))))

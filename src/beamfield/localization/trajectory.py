@@ -21,7 +21,7 @@ from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_start import Course
 from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings
-from beamfield.localization.turn_errors import TurnErrors, turn_errors, turn_findings, turns_of_scans
+from beamfield.localization.turn_errors import TurnErrors, drift_at_rest, turn_errors, turn_findings, turns_of_scans
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.outdated_map import find_outdated_map
@@ -35,6 +35,8 @@ Progress = Callable[[str, int, int], None]
 FEWEST_SCANS, FEWEST_POINTS = 3, 100
 # Metres, a radian of turning counting as a tenth of one: a robot that stands sees one place, of which maps have many.
 LEAST_WAY = 0.3
+# Without odometry it is an alignment that slipped, not a wheel.
+OF_WHEELS = ("wheel-slip", "odometry-scale", "odometry-turn-scale", "odometry-drift", "odometry-drift-at-rest")
 # With this share of trusted poses a course is right even if most readings disagree with the map.
 NEARLY_ALL = 0.9
 
@@ -228,10 +230,9 @@ def fit_course(
     report("fitting all poses", 0, 1)
     fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
     trusted, more = judge_trajectory(drive, walls, fitted, cut, max_deviation)
-    # Without odometry it is an alignment that slipped, not a wheel.
-    of_wheels = () if log.has_odometry else ("wheel-slip", "odometry-scale", "odometry-turn-scale", "odometry-drift")
+    of_wheels = () if log.has_odometry else OF_WHEELS
     turns = turn_errors(drive, fitted.poses, cut)
-    seen = [*turn_findings(turns), *odometry_findings(drive, found.course, fitted)]
+    seen = [*turn_findings(turns), *drift_at_rest(drive, fitted.poses), *odometry_findings(drive, found.course, fitted)]
     seen = [one for one in seen if one.name not in of_wheels]
     # Where poses seem to slip they may show no delay, as after a jump of a clock; the scans themselves do.
     slips = any(one.name == "wheel-slip" for one in seen)

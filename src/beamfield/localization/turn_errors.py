@@ -26,6 +26,9 @@ ROUNDS = 5
 # From here on an error is named: a share, radians per metre, and standard errors. Of five real logs the worst have 0.04
 # and 0.0105.
 SCALE, DRIFT, SIGMAS = 0.05, 0.03, 4.0
+# A robot that moves less in a window stands, metres and radians; from so many radians per second on, in so many
+# windows, its odometry drifts.
+STILL, STILL_TURN, REST_RATE, RESTS = 0.02, 0.02, 0.002, 4
 # Without a trajectory: pairs of scans that are aligned at most, 8 ms each, their beams, and about how many seconds they
 # are apart. Turns of more than a standing robot's noise, radians, have to sum up to so much.
 MOST_PAIRS, FEWEST_PAIRS, BEAMS, APART, LONGEST = 300, 30, 180, 0.15, 0.35
@@ -68,6 +71,26 @@ def turn_errors(drive: Drive, poses: FloatArray, cut: NDArray[np.bool_]) -> Turn
     scale, drift = _solved(rows, off)
     scale_error, drift_error = np.sqrt((PARTS - 1) * others.var(axis=0))
     return TurnErrors(float(scale), float(drift), float(scale_error), float(drift_error))
+
+
+def drift_at_rest(drive: Drive, poses: FloatArray) -> Iterator[Finding]:
+    """Name odometry that turns to one side while the fitted poses (t, 3) stand still."""
+    since = drive.stamps - drive.stamps[0]
+    edges = np.unique(np.searchsorted(since, np.arange(0.0, since[-1], WINDOW)).clip(max=len(since) - 1))
+    moved, sums = between(poses[edges[:-1]], poses[edges[1:]]), np.concatenate([[0.0], np.cumsum(drive.steps[:, 2])])
+    stands = (np.hypot(moved[:, 0], moved[:, 1]) < STILL) & (np.abs(moved[:, 2]) < STILL_TURN)
+    rates = (np.diff(sums[edges]) / np.diff(since[edges]))[stands]
+    rate = float(np.median(rates)) if len(rates) else 0.0
+    if len(rates) < RESTS or np.quantile(math.copysign(1.0, rate) * rates, 0.25) < REST_RATE:
+        return
+    yield Finding(
+        "odometry-drift-at-rest", "warning",
+        f"While the robot stands, its odometry turns by {abs(math.degrees(rate)):.1f} degrees a second to the "
+        f"{'left' if rate > 0.0 else 'right'}.",
+        {"radians_per_second": rate},
+        why="A gyro drifts: the robot turns away in the map, and the longer it stands the more.",
+        do="Calibrate the gyro's bias while the robot stands, or let the odometry take no turn while the wheels stand.",
+    )  # fmt: skip
 
 
 def _solved(rows: FloatArray, off: FloatArray) -> FloatArray:

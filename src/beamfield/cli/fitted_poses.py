@@ -156,7 +156,9 @@ def fit_in_map(
         raise TooLittleDataError(f"{path}: {NO_POSE}, and none can be fitted: {error}") from error
     except TrajectoryNotFoundError as error:
         helps = "--start X Y DEG, or --poses FILE" if start is None else "another --start, or --poses FILE"
-        raise FormatError(path, f"{NO_POSE}, and none can be fitted: {error}; what helps: {helps}") from error
+        raise FormatError(
+            path, f"{NO_POSE}, and none can be fitted: {str(error).rstrip('.')}; what helps: {helps}"
+        ) from error
 
 
 def about_its_file(error: InvalidInputError, arguments: argparse.Namespace, log: Path) -> BeamfieldError:

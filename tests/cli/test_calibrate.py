@@ -27,6 +27,7 @@ from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
 from beamfield.report.scan_fit_figures import fit_of_own_log
 from tests.cli.simulated import on_map, simulated
+from tests.io.mini_bag import MiniBag
 
 FILES = ("beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report.html")
 
@@ -362,6 +363,17 @@ def test_an_output_that_cannot_be_written_is_one_line(world, tmp_path, capsys):
     line = fails(capsys, calibrate(world / "none", tmp_path / "file"))
     assert line.endswith("file: Not a directory")
     assert (tmp_path / "file").read_text() == "in the way"
+
+
+def test_what_was_noticed_of_a_log_is_said_with_an_error(world, tmp_path, capsys):
+    bag = MiniBag().tf("base_link", "laser", 100.0, static=True)
+    for i in range(3):
+        bag.scan(100.0 + i).tf("odom", "base_link", 5.0 + i, recorded=100.0 + i)
+    code = main(["calibrate", str(bag.write(tmp_path)), "--map", str(world / "map.yaml"), "--out", str(tmp_path / "x")])
+    assert code == 1
+    said = capsys.readouterr().err
+    assert "note: log: /scan: its scans are stamped 95.0 s later than the transforms" in said
+    assert "without odometry at the times of the scans none is fitted" in said
 
 
 def test_each_of_several_sensors_has_a_folder_of_its_own():

@@ -592,3 +592,24 @@ def test_a_filter_that_two_nodes_run_is_noted_once_odometry_is_whole(tmp_path):
         bag.tf("odom", "base_link", stamp, (0.01 * i, 0.0, 0.0)).tf("map", "odom", stamp, (5.0, i % 2, 0.0)).scan(stamp)
     (note,) = [note for note in read_bag(bag.write(tmp_path)).notes if "two nodes" in note]
     assert note.startswith("/scan: reference poses: back and forth 98 times, by up to 1.00 m")
+
+
+def test_a_second_localizer_is_noted_though_the_scans_have_the_poses_of_one(tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 100.0, static=True)
+    for i in range(100):
+        stamp = 100.0 + 0.04 * i
+        bag.tf("odom", "base_link", stamp, (0.01 * i, 0.0, 0.0)).scan(stamp).tf("map", "odom", stamp, (5.0, 0.0, 0.0))
+        bag.tf("map", "odom", stamp + 0.02, (5.0, 1.0, 0.0))
+    (note,) = [note for note in read_bag(bag.write(tmp_path)).notes if "two nodes" in note]
+    assert note.startswith("reference poses: back and forth 197 times, by up to 1.00 m")
+
+
+@pytest.mark.parametrize(("late", "noted"), [(0.9, ""), (30.0, "30.0 s earlier"), (-2.0, "2.0 s later")])
+def test_scans_of_another_clock_are_noted_by_the_times_of_recording(late, noted, tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 100.0, static=True, recorded=5000.0)
+    for i in range(10):
+        stamp = 100.0 + 0.1 * i
+        bag.tf("odom", "base_link", stamp, (0.01 * i, 0.0, 0.0)).tf("map", "odom", stamp + 20.0, recorded=stamp)
+        bag.tf("base_link", "wheel", 0.0, recorded=stamp).scan(stamp, recorded=stamp + late)
+    notes = [note for note in read_bag(bag.write(tmp_path)).notes if "stamped" in note]
+    assert [noted in note for note in notes] == ([True] if noted else [])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import TrajectoryNotFoundError
-from beamfield.geometry import FloatArray, interpolate_poses
+from beamfield.geometry import FloatArray, compose, interpolate_poses
 from beamfield.localization.scan_delay import _best_shift, scan_delay
 from beamfield.localization.trajectory import fit_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
@@ -58,6 +58,12 @@ def test_a_delay_is_measured_and_has_a_sign(tour: SensorLog, seconds: float):
 
 def test_good_stamps_are_not_named(tour: SensorLog):
     assert scan_delay(tour) is None
+
+
+@pytest.mark.parametrize("reset", [150, 350])
+def test_a_reset_of_the_odometry_is_no_delay(tour: SensorLog, reset: int):
+    odometry = np.concatenate([tour.odometry[:reset], compose((5.0, 5.0, 1.5), tour.odometry[reset:])])
+    assert scan_delay(replace(tour, odometry=odometry)) is None
 
 
 def test_a_small_delay_is_named_with_what_it_costs(tour: SensorLog, office: OccupancyGrid):

@@ -283,3 +283,17 @@ def test_impossible_input_is_refused(drive: SensorLog, office: OccupancyGrid):
         fit_trajectory(replace(some, ranges=np.full_like(some.ranges, np.inf)), office)
     with pytest.raises(InvalidInputError, match="max_deviation"):
         fit_trajectory(some, office, max_deviation=0.0)
+
+
+def test_odometry_that_stands_still_while_the_scans_turn_is_named(drive: SensorLog, office: OccupancyGrid, monkeypatch):
+    log = replace(drive.select(np.arange(120)), odometry=np.zeros((120, 3)))
+    with pytest.raises(TooLittleDataError, match=r"needs a drive\. Where the scans turn .* the odometry hardly turns"):
+        fit_trajectory(log, office)
+    log = replace(log, odometry=np.outer(np.linspace(0.0, 5.0, 120), [1.0, 0.0, 0.0]))
+
+    def none(*_: object) -> None:
+        raise TrajectoryNotFoundError("none fits")
+
+    monkeypatch.setattr("beamfield.localization.trajectory.choose_course", none)
+    with pytest.raises(TrajectoryNotFoundError, match=r"none fits\. Where the scans turn .* the odometry hardly turns"):
+        fit_trajectory(log, office)

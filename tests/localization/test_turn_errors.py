@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from beamfield.geometry import between, chained
-from beamfield.localization.turn_errors import turn_errors, turn_findings
+from beamfield.localization.turn_errors import drift_at_rest, turn_errors, turn_findings, turns_of_scans
+from beamfield.sensors import SensorLog
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 
 STAMPS = 100.0 + 0.2 * np.arange(600)
@@ -66,3 +68,26 @@ def test_a_robot_that_hardly_turned_tells_nothing():
     straight = SimpleNamespace(stamps=STAMPS, steps=np.tile([0.1, 0.0, 0.0], (len(NOWHERE), 1)))
     assert turn_errors(straight, chained(np.zeros(3), straight.steps), NOWHERE) is None
     assert list(turn_findings(None)) == []
+
+
+@pytest.mark.parametrize(
+    ("share", "said"),
+    [(0.0, "hardly turns"), (0.5, "turns 0.5 times as far"), (-1.0, "the other way"), (1.0, "")],
+)
+def test_odometry_that_turns_far_too_little_or_too_much_is_named_without_poses(share, said, drive: SensorLog):
+    log = drive.select(np.arange(120))
+    steps = between(log.odometry[:-1], log.odometry[1:]) * [1.0, 1.0, share]
+    found = turns_of_scans(replace(log, odometry=chained(log.odometry[0], steps)))
+    assert (said in found.text) if said else found is None
+
+
+@pytest.mark.parametrize(
+    ("rate", "named"), [(0.02, "by 1.1 degrees a second to the left"), (-0.02, "right"), (0.001, "")]
+)
+def test_odometry_that_turns_while_the_robot_stands_is_named(rate: float, named: str):
+    stands = np.arange(len(NOWHERE)) < 100  # 20 s
+    moves = np.where(stands[:, None], 0.0, [0.1, 0.0, 0.05])
+    drifts = np.where(stands, 0.2 * rate, 0.0)[:, None] * [0.0, 0.0, 1.0]
+    found = list(drift_at_rest(SimpleNamespace(stamps=STAMPS, steps=moves + drifts), chained(np.zeros(3), moves)))
+    assert [named in one.text for one in found] == ([True] if named else [])
+    assert not list(drift_at_rest(SimpleNamespace(stamps=STAMPS[:2], steps=moves[:1]), np.zeros((2, 3))))

@@ -142,8 +142,9 @@ def fit_in_map(
     if not sensor.has_odometry:
         raise FormatError(
             path,
-            f"{NO_POSE}, and without odometry none is fitted: scans alone slide along corridors; see beamfield inspect "
-            "for what was read, or give poses with --poses (beamfield trajectory makes some of scans, to look at)",
+            f"{NO_POSE}, and without odometry at the times of the scans none is fitted: scans alone slide along "
+            "corridors; beamfield inspect says what was read, and whether two clocks differ; or give poses with "
+            "--poses (beamfield trajectory makes some of scans, to look at)",
         )
     if sensor.finder.opening_angle > 0.0:
         raise FormatError(path, f"{NO_POSE}, and none is fitted to the cones of a sonar; give poses with --poses")
@@ -155,7 +156,9 @@ def fit_in_map(
         raise TooLittleDataError(f"{path}: {NO_POSE}, and none can be fitted: {error}") from error
     except TrajectoryNotFoundError as error:
         helps = "--start X Y DEG, or --poses FILE" if start is None else "another --start, or --poses FILE"
-        raise FormatError(path, f"{NO_POSE}, and none can be fitted: {error}; what helps: {helps}") from error
+        raise FormatError(
+            path, f"{NO_POSE}, and none can be fitted: {str(error).rstrip('.')}; what helps: {helps}"
+        ) from error
 
 
 def about_its_file(error: InvalidInputError, arguments: argparse.Namespace, log: Path) -> BeamfieldError:

@@ -189,7 +189,9 @@ def read_grid(arguments: argparse.Namespace) -> OccupancyGrid:
 
 def keep_for_errors(arguments: argparse.Namespace, path: Path, notes: Iterable[str]) -> None:
     """Keep notes on a file that was read, to be shown if the command ends in an error and has no result to say them."""
-    arguments.noticed = [*getattr(arguments, "noticed", ()), *(f"{path.name}: {note}" for note in notes)]
+    arguments.noticed = getattr(arguments, "noticed", [])
+    # In place: a command may work with a copy of its arguments.
+    arguments.noticed.extend(f"{path.name}: {note}" for note in notes)
 
 
 def read_walls(arguments: argparse.Namespace) -> OccupancyGrid:

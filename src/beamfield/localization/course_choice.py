@@ -149,8 +149,8 @@ def choose_course(
         _refuse_mirrored(log, steps, search, limit)
     may_be_right = start is None and first[0].agrees >= LEAST_AGREEMENT
     raise TrajectoryNotFoundError(
-        "no trajectory through this map fits the log (another building, a map out of date, where places may look "
-        f"alike, or of wrong resolution, a drive beyond it, or wrong odometry?); {_named(first)}"
+        "no trajectory through this map fits the log (another building, a map out of date or of wrong resolution, "
+        f"places that look alike, people all around, a drive beyond it, or wrong odometry?); {_named(first)}"
         f"{'; if it began at one of these, give that start' if may_be_right else ''}"
     )
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between, wrap_angle
 from beamfield.localization.alignment import align
+from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog
 
 # Beams of each scan that are aligned, and pairs of neighbouring scans at most: 8 ms each.
@@ -64,7 +65,10 @@ def scan_delay(log: SensorLog, fitted: FloatArray | None = None) -> Finding | No
     known = np.isfinite(log.odometry).all(axis=1)
     if known.sum() < FEWEST_PAIRS:
         return None
-    stamps, headings = log.stamps[known], np.unwrap(log.odometry[known, 2])
+    stamps, odometry = log.stamps[known], log.odometry[known]
+    steps = between(odometry[:-1], odometry[1:])
+    steps[odometry_jumps(steps, np.maximum(np.diff(stamps), 0.0))] = 0.0
+    headings = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
     pairs = _turning_pairs(log, stamps, headings)
     if len(pairs) < FEWEST_PAIRS or (fitted is not None and not _is_hinted(log.stamps, fitted, stamps, headings)):
         return None
@@ -82,9 +86,7 @@ def scan_delay(log: SensorLog, fitted: FloatArray | None = None) -> Finding | No
     if found.jump or abs(found.delay) < SMALL_DELAY or found.explained < EXPLAINED_BY_SMALL:
         return None
     rates = turns / (log.stamps[pairs + 1] - log.stamps[pairs])
-    return _small_finding(
-        found, len(turns), _usual_speed(stamps, log.odometry[known]), float(np.sqrt((rates**2).mean()))
-    )
+    return _small_finding(found, len(turns), _usual_speed(stamps, odometry), float(np.sqrt((rates**2).mean())))
 
 
 def _is_hinted(times: FloatArray, fitted: FloatArray, stamps: FloatArray, headings: FloatArray) -> bool:

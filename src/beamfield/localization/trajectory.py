@@ -21,7 +21,7 @@ from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_start import Course
 from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings
-from beamfield.localization.turn_errors import TurnErrors, turn_errors, turn_findings
+from beamfield.localization.turn_errors import TurnErrors, drift_at_rest, turn_errors, turn_findings, turns_of_scans
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.outdated_map import find_outdated_map
@@ -35,6 +35,8 @@ Progress = Callable[[str, int, int], None]
 FEWEST_SCANS, FEWEST_POINTS = 3, 100
 # Metres, a radian of turning counting as a tenth of one: a robot that stands sees one place, of which maps have many.
 LEAST_WAY = 0.3
+# Without odometry it is an alignment that slipped, not a wheel.
+OF_WHEELS = ("wheel-slip", "odometry-scale", "odometry-turn-scale", "odometry-drift", "odometry-drift-at-rest")
 # With this share of trusted poses a course is right even if most readings disagree with the map.
 NEARLY_ALL = 0.9
 
@@ -197,11 +199,11 @@ def find_course(
         odometry = odometry_from_scans(log, lambda done, total: report("aligning scans", done, total))
     drive = prepare(log, odometry)
     _check_points(drive)
-    _check_moves(drive, "odometry" if log.has_odometry else "scans (the log has no odometry)")
+    _check_moves(drive, log)
     try:
         found = choose_course(log, grid, drive, walls_of(grid), initial, report)
     except TrajectoryNotFoundError as error:
-        wrong = (mount_of_scans(log) or scan_delay(log)) if log.has_odometry else None
+        wrong = (mount_of_scans(log) or scan_delay(log) or turns_of_scans(log)) if log.has_odometry else None
         if wrong is None or wrong.severity == "info":
             raise
         raise TrajectoryNotFoundError(f"{error}. {wrong.text} {wrong.do}") from error
@@ -228,10 +230,9 @@ def fit_course(
     report("fitting all poses", 0, 1)
     fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
     trusted, more = judge_trajectory(drive, walls, fitted, cut, max_deviation)
-    # Without odometry it is an alignment that slipped, not a wheel.
-    of_wheels = () if log.has_odometry else ("wheel-slip", "odometry-scale", "odometry-turn-scale", "odometry-drift")
+    of_wheels = () if log.has_odometry else OF_WHEELS
     turns = turn_errors(drive, fitted.poses, cut)
-    seen = [*turn_findings(turns), *odometry_findings(drive, found.course, fitted)]
+    seen = [*turn_findings(turns), *drift_at_rest(drive, fitted.poses), *odometry_findings(drive, found.course, fitted)]
     seen = [one for one in seen if one.name not in of_wheels]
     # Where poses seem to slip they may show no delay, as after a jump of a clock; the scans themselves do.
     slips = any(one.name == "wheel-slip" for one in seen)
@@ -259,11 +260,14 @@ def _check_points(drive: Drive) -> None:
         )
 
 
-def _check_moves(drive: Drive, source: str) -> None:
+def _check_moves(drive: Drive, log: SensorLog) -> None:
     if drive.way[-1] < LEAST_WAY:
+        source = "odometry" if log.has_odometry else "scans (the log has no odometry)"
+        dead = turns_of_scans(log) if log.has_odometry else None
         raise TooLittleDataError(
             f"by its {source}, the robot moves {np.hypot(*drive.steps[:, :2].T).sum():.2f} m and turns "
             f"{np.degrees(np.abs(drive.steps[:, 2]).sum()):.0f} degrees in all; a trajectory needs a drive"
+            + ("" if dead is None else f". {dead.text} {dead.do}")
         )
 
 
@@ -314,6 +318,8 @@ def _result(log: SensorLog, fitted: Smoothed, turns: TurnErrors | None, trusted:
 
 def _no_odometry() -> Finding:
     return Finding(
-        "no-odometry", "warning", "The log has no odometry: each scan was aligned with the one before in its place.",
-        why="Along corridors, scans alone slide.", do="Record the odometry (docs/recording.md).",
+        "no-odometry", "warning",
+        "The log has no odometry at the times of its scans: each was aligned with the one before in its place.",
+        why="Along corridors, scans alone slide.",
+        do="Record the odometry (docs/recording.md); if you did, beamfield inspect says whether two clocks differ.",
     )  # fmt: skip

@@ -102,6 +102,12 @@ def on(topic):
     return replace(log, finder=replace(log.finder, name=topic))
 
 
+def at(start):
+    """Return scans with stamps from a time on."""
+    log = scans()
+    return replace(log, stamps=start + log.stamps)
+
+
 def some(value, share):
     """Return (k,) readings of which the first share has one value."""
     ranges = np.full(N_BEAMS, 3.0)
@@ -199,6 +205,9 @@ FINDINGS = {
                          {"log": on("/robot1/scan")}),
     "other-scan-topic of a text log": ({"scan_topic": "front"}, {"log": on("/scan")}, {"scan_topic": "front"},
                                        {"log": on("FLASER")}),
+    "no-broadcast": ({"tf_broadcast": "false"}, {}, {"tf_broadcast": "true"}, {}),
+    "simulated-time": ({"use_sim_time": "True"}, {"log": at(1.7e9)}, {"use_sim_time": "True"}, {"log": at(100.0)}),
+    "simulated-time off": ({"use_sim_time": "True"}, {"log": at(1.7e9)}, {"use_sim_time": "False"}, {"log": at(1.7e9)}),
     "unknown-name": ({"robot_model_type": '"nav_amcl::DifferentialMotionModel"'}, {},
                      {"robot_model_type": '"nav2_amcl::OmniMotionModel"'}, {}),
     "given-again": ({"text": AGAIN, **ROBOT}, {}, {"text": AGAIN.replace('"0.9"', '"0.95"'), **ROBOT}, {}),

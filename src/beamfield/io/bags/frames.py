@@ -152,6 +152,11 @@ class TransformBuffer:
         moving = [link.stamps for link in links if not link.static]
         return max(moving, key=len, default=np.empty(0))
 
+    def first_stamps(self, target: str, source: str) -> FloatArray:
+        """Return the stamps of the first transform on the chain from target to source, as `stamps_between` does."""
+        chain = self._chain(target, source) or []
+        return self.stamps_between(*chain[:2]) if len(chain) > 1 else np.empty(0)
+
     def _edge(self, key: tuple[str, str]) -> _Edge:
         edge = self._edges[key]
         edge.settle()

@@ -131,6 +131,8 @@ class LaserScans:
         (t, k) metres, as published.
     notes
         What a user should know about them.
+    lag
+        Median time from stamp to recording, seconds; NaN where the stamps say nothing.
     """
 
     topic: str
@@ -141,6 +143,7 @@ class LaserScans:
     stamps: FloatArray
     ranges: FloatArray
     notes: tuple[str, ...] = ()
+    lag: float = np.nan
 
 
 @dataclass(eq=False)
@@ -221,6 +224,7 @@ class LaserScanCollector:
             stamps=stamps,
             ranges=ranges if (np.diff(order) > 0).all() else ranges[order],
             notes=tuple(self._notes),
+            lag=float(np.median(np.subtract(self._recorded, self._stamps))) if self._are_stamped() else np.nan,
         )
 
     def _begin(self, message: BagMessage, geometry: ScanGeometry) -> None:
@@ -256,10 +260,16 @@ class LaserScanCollector:
             "scans of the topic have theirs; do two sensors publish there?",
         )
 
+    def _are_stamped(self) -> bool:
+        return len(self._stamps) < 2 or len(set(self._stamps)) > 1
+
     def _ordered_stamps(self) -> tuple[FloatArray, NDArray[np.intp]]:
         stamps = np.array(self._stamps)
-        if len(stamps) > 1 and (stamps == stamps[0]).all():
-            self._notes.append(f"{self.topic}: every header stamp is {stamps[0]:.10g}; receive times are used instead")
+        if not self._are_stamped():
+            self._notes.append(
+                f"{self.topic}: every header stamp is {stamps[0]:.10g}; receive times are used instead, but ROS drops "
+                "such scans: the driver, or the node that makes them, has to stamp them"
+            )
             stamps = np.array(self._recorded)
         return ordered_stamps(stamps, self.path, self.topic, self._notes)
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.io.bags.bag_file import BagFile, BagMessage, seconds
-from beamfield.io.bags.frames import TransformBuffer
-from beamfield.io.bags.laser_scan import LaserScanCollector
+from beamfield.io.bags.frames import TransformBuffer, strip_slash
+from beamfield.io.bags.laser_scan import LaserScanCollector, LaserScans
 from beamfield.io.bags.map_topic import read_bag_map
 from beamfield.io.bags.multiranger import OPENING_ANGLE, RawDataCollector, ranger_topics, read_rangers
 from beamfield.io.bags.namespaces import transform_topics
@@ -24,6 +24,7 @@ from beamfield.io.bags.robot_frames import (
     choose_base,
     find_odometry,
     find_reference,
+    published_poses,
     says_truth,
 )
 from beamfield.io.bags.scan_ranges import limit_doubts, resolve_limits, resolve_scan_ranges
@@ -40,6 +41,9 @@ MAKES_SCANS = {
 }
 # Share of the scans beside the odometry that is worth a note.
 UNMATCHED = 0.2
+# Messages that are so much longer under way than others, seconds, are stamped by another clock: networks delay scans by
+# less.
+CLOCKS_APART = 1.0
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "tf/msg/TFMessage")
 
 
@@ -119,10 +123,10 @@ def read_bag(
     odometry = find_odometry(content, base, notes)
     reference_at = find_reference(content, base, poses_topic, map_frame, odometry, notes)
     twice = [] if odometry.track is None else published_twice("odometry", odometry.track.poses)
-    notes += twice
     sensors = {}
     for scans in content.scans:
         notes += scans.notes
+        _note_clocks(scans, content.lags, notes)
         beams = beam_mounts(content, scans, base, mount, notes)
         low, high = resolve_limits(scans, content.path, min_range, max_range)
         found = resolve_scan_ranges(scans.ranges, low, high, no_return, limit_given=max_range is not None)
@@ -132,7 +136,7 @@ def read_bag(
         poses = reference_at(scans.stamps)
         driven = odometry.at(scans.stamps)
         _note_missing(scans.topic, poses, notes)
-        notes += [] if twice else published_twice(f"{scans.topic}: reference poses", poses)
+        twice += [] if twice else published_twice(f"{scans.topic}: reference poses", poses)
         if odometry.track is not None:
             _note_unmatched(scans.topic, scans.stamps, driven, odometry.track.stamps, notes)
         sensors[scans.topic] = SensorLog(
@@ -143,7 +147,9 @@ def read_bag(
             odometry=driven,
             no_return=found.policy,
         )
-    return ScanLog(sensors, odometry.track, str(path), tuple(notes), frames=content.frames.all_if_whole())
+    if not twice and poses_topic is None:
+        twice = published_twice("reference poses", published_poses(content, base, map_frame))
+    return ScanLog(sensors, odometry.track, str(path), (*notes, *twice), frames=content.frames.all_if_whole())
 
 
 def _scan_topics(bag: BagFile, asked: str | Sequence[str] | None) -> list[str]:
@@ -183,12 +189,16 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
     tf_topics = transform_topics(bag.path, bag.of_type(*TF_TYPES), scan_topics)
     collectors: dict[str, LaserScanCollector | RawDataCollector | PoseTopicCollector]
     collectors = {**lasers, **raw, **pose_topics}
+    of_tf: list[float] = []
+    of_odometry: list[float] = []
     for message in bag.messages([*collectors, *tf_topics]):
         with bag.quoting(message):
             if message.topic in collectors:
                 collectors[message.topic].add(message)
+                if message.msgtype == ODOMETRY:
+                    of_odometry.append(message.recorded - message.stamp)
             else:
-                _add_transforms(frames, message)
+                of_tf += _add_transforms(frames, message)
     scans, ranger_odometry = [], None
     for topic in scan_topics:
         if topic in rangers:
@@ -204,7 +214,9 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
     ]
     if bag.n_files > 1 and bag.path.is_file():
         notes.append(f"{bag.path.name} is one of {bag.n_files} files of a bag: all of them were read")
-    return BagContent(bag.path, scans, frames, pose_topics, set(rangers), ranger_odometry, notes)
+    return BagContent(
+        bag.path, scans, frames, pose_topics, set(rangers), ranger_odometry, notes, of_tf or of_odometry
+    )  # fmt: skip
 
 
 def _pose_topics(bag: BagFile, asked: str | None) -> list[str]:
@@ -213,8 +225,10 @@ def _pose_topics(bag: BagFile, asked: str | None) -> list[str]:
     return list(dict.fromkeys(topics if asked is None else [*topics, asked]))
 
 
-def _add_transforms(frames: TransformBuffer, message: BagMessage) -> None:
+def _add_transforms(frames: TransformBuffer, message: BagMessage) -> list[float]:
+    """Add what a message says; return how long what moves was under way, but for the map's, which filters postdate."""
     static = message.topic.endswith("tf_static")
+    lags = []
     for item in message.content.transforms:
         t, q = item.transform.translation, item.transform.rotation
         frames.add(
@@ -226,6 +240,20 @@ def _add_transforms(frames: TransformBuffer, message: BagMessage) -> None:
             static=static,
             place=message.place,
             depth=message.topic.count("/"),
+        )
+        stamp = seconds(item.header.stamp)
+        if stamp > 0.0 and not static and not strip_slash(item.header.frame_id).endswith("map"):
+            lags.append(message.recorded - stamp)
+    return lags
+
+
+def _note_clocks(scans: LaserScans, lags: list[float], notes: list[str]) -> None:
+    apart = scans.lag - float(np.median(lags)) if lags else 0.0
+    if abs(apart) > CLOCKS_APART:
+        notes.append(
+            f"{scans.topic}: its scans are stamped {abs(apart):.1f} s {'earlier' if apart > 0.0 else 'later'} than the "
+            "transforms or odometry recorded at the same time, so that ROS drops them, or puts them where the robot "
+            "was not: compare the clocks of scanner and base (NTP, chrony), what the driver stamps, and use_sim_time"
         )
 
 

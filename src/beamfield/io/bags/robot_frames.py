@@ -28,7 +28,7 @@ class BagContent:
     """What was taken from a bag: scans per topic, transforms, and the poses by topic that may be odometry or reference.
 
     `cones` are topics whose sensors have no frame of their own, the rangers of a drone; `ranger_odometry` is that
-    drone's.
+    drone's; `lags` are the seconds from the stamps to the recording of transforms and odometry.
     """
 
     path: Path
@@ -38,6 +38,7 @@ class BagContent:
     cones: set[str]
     ranger_odometry: Track | None
     notes: list[str]
+    lags: list[float]
 
 
 @dataclass(frozen=True)
@@ -286,6 +287,17 @@ def find_reference(content: BagContent, base: str, poses_topic: str | None, map_
         return _reference_topic(content, by_name[0], base, odometry, notes)
     notes.append("reference poses: none in this bag")
     return lambda when: np.full((len(when), 3), np.nan)
+
+
+def published_poses(content: BagContent, base: str, map_frame: str | None) -> FloatArray:
+    """Return the poses (n, 3) in the map by /tf when its transforms were published; none if it has none.
+
+    Two localizers need not show at the scans' stamps: one of them may make its transforms for these.
+    """
+    frame = _map_frame(content, base, map_frame, [])
+    if frame is None:
+        return np.empty((0, 3))
+    return content.frames.look_up(frame, base, content.frames.first_stamps(frame, base), max_gap=MAX_GAP).planar()
 
 
 def _map_frame(content: BagContent, base: str, asked: str | None, notes: list[str]) -> str | None:

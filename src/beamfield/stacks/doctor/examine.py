@@ -28,6 +28,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     value_checks.given_again,
     log_checks.unknown_frames,
     log_checks.other_topic,
+    log_checks.silent_program,
     map_checks.no_obstacles,
     map_checks.disagreement,
     map_checks.ignored_yaw,

@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.calibrate_stack import add_stack_options, next_step, read_stack_request, write_patch
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
@@ -99,9 +99,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
         grid = None
         if arguments.map is not None:
             progress("reading the map", 0, 1)
-            grid = options.read_walls(arguments)
+            grid = inputs.read_walls(arguments)
         progress("reading the log", 0, 1)
-        log = options.read_scans(arguments)
+        log = inputs.read_scans(arguments)
         sensors = _chosen_sensors(log, arguments)
         if patched is not None and len(sensors) > 1:
             raise InvalidInputError(
@@ -203,11 +203,11 @@ def _chosen_sensors(log: ScanLog, arguments: argparse.Namespace) -> Mapping[str,
     """Return the sensors to calibrate, those asked for or the only one; without a map, with the poses asked for."""
     names: list[Any] = arguments.sensor or list(log.sensors)
     if not arguments.sensor:
-        options.require_one_sensor(log, arguments.log)
+        inputs.require_one_sensor(log, arguments.log)
     logs = {name: log.only_sensor(name) for name in names}
     if arguments.map is not None:  # poses that are missing will be fitted to it
         return logs
-    return {name: options.require_poses(sensor, arguments) for name, sensor in logs.items()}
+    return {name: inputs.require_poses(sensor, arguments) for name, sensor in logs.items()}
 
 
 def _folders(sensors: Iterable[str]) -> dict[str, str]:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.fitted_poses import NAME, Start, as_document, posed_log, with_map_judged
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index, positive
@@ -153,7 +153,7 @@ def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     saved = None if arguments.params is None else read_beam_model(arguments.params)
     reference = None if arguments.good_scans is None else _read_reference(arguments.good_scans)
     progress("reading the map", 0, 1)
-    grid = options.read_walls(arguments)
+    grid = inputs.read_walls(arguments)
     progress("reading the log", 0, 1)
     start = options.start_of(arguments)
     sensor, log, fitted, notes = _sensor(arguments, arguments.log, arguments.poses, start, grid, progress)
@@ -204,7 +204,7 @@ def _sensor(
     progress: StageProgress,
 ) -> tuple[SensorLog, SensorLog, FittedPoses | None, tuple[str, ...]]:  # fmt: skip
     """Return the sensor as it is, and with poses, its own or fitted to the map; what was fitted, and notes."""
-    sensor, notes = options.read_sensor(arguments, path, poses)
+    sensor, notes = inputs.read_sensor(arguments, path, poses)
     posed, fitted, found = posed_log(sensor, grid, arguments, progress, path, poses, start)
     return sensor, posed, fitted, (*notes, *(finding.full_text for finding in found))
 

@@ -18,7 +18,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.fitted_poses import posed_as_asked
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         frames: tuple[str, ...] = ()
         notes = (file.uncertainty,) if file.uncertainty else ()
         if arguments.log is not None:
-            whole = options.read_log_of_one_sensor(arguments)
+            whole = inputs.read_log_of_one_sensor(arguments)
             log, frames, notes = whole.only_sensor(), whole.frames, (*notes, *whole.notes)
         if log is not None and grid is not None:
             log, of_poses, more = _posed(log, grid, arguments, progress)
@@ -131,7 +131,7 @@ def _read_map(arguments: argparse.Namespace) -> tuple[OccupancyGrid, MapFile]:
     from beamfield.io.maps.ros_map import between_share, ros_map_notes
     from beamfield.stacks.doctor.subject import MapFile
 
-    path, grid = arguments.map, options.read_grid(arguments)
+    path, grid = arguments.map, inputs.read_grid(arguments)
     yaw = float(grid.origin[2])
     if path.suffix not in (".yaml", ".yml"):
         return grid, MapFile(path.name, yaw=yaw)

@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, positive
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     settings = {name: read_filter_settings(file) for name, file in files.items()}
     with options.progress(arguments) as progress:
         progress("reading the map", 0, 1)
-        grid = options.read_walls(arguments)
+        grid = inputs.read_walls(arguments)
         filters = _filters(arguments, settings, grid, progress)
         progress("reading the logs", 0, 1)
         logs, more = _read_logs(arguments, grid, progress)
@@ -182,8 +182,8 @@ def _read_logs(
     notes: list[str] = []
     poses = arguments.poses or [None] * len(arguments.logs)
     for (name, path), reference in zip(_short_names(arguments.logs).items(), poses, strict=True):
-        sensor, noticed = options.read_sensor(arguments, path, reference)
-        options.require_odometry(sensor, path)
+        sensor, noticed = inputs.read_sensor(arguments, path, reference)
+        inputs.require_odometry(sensor, path)
         start = options.start_of(arguments)
         logs[name], _, found = posed_log(sensor, grid, arguments, progress, path, reference, start)
         notes += [f"{name}: {note}" for note in (*noticed, *(finding.full_text for finding in found))]

@@ -20,7 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.fitted_poses import posed_as_asked
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index
@@ -97,7 +97,7 @@ def _session(arguments: argparse.Namespace) -> tuple[Session, tuple[str, ...]]:
     from beamfield.explorer.shown_run import own_poses_as_run, read_shown_run
 
     with options.progress(arguments) as progress:
-        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
+        grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)
         # Before poses are fitted, which takes long: a bad file is refused at once.
         sets = [read_set(file, grid, sensor.finder) for file in arguments.params]
         shown = None if arguments.shown_run is None else read_shown_run(arguments.shown_run, sensor, grid)

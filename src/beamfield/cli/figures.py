@@ -16,7 +16,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.progress import StageProgress
@@ -110,10 +110,10 @@ def _world(arguments: argparse.Namespace, progress: StageProgress) -> FigureWorl
         progress("simulating", 0, 1)
         return simulated_world(arguments.seed)
     progress("reading", 0, 1)
-    grid = options.read_grid(arguments)
+    grid = inputs.read_grid(arguments)
     # The first sensor that is asked for is shown, the others are drawn beside it.
     shown = arguments.sensor[0] if arguments.sensor else None
-    log = options.read_scans(arguments)
+    log = inputs.read_scans(arguments)
     if not log.only_sensor(shown).has_poses:
         raise FormatError(
             arguments.log,

@@ -17,7 +17,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command
 from beamfield.cli.provenance import file_name
@@ -70,14 +70,14 @@ def _read(arguments: argparse.Namespace) -> Content:
     from beamfield.io.read_map import read_map
 
     path: Path = arguments.log
-    if options.looks_like_a_map(path) or (arguments.map_topic is not None and arguments.map is None):
+    if inputs.looks_like_a_map(path) or (arguments.map_topic is not None and arguments.map is None):
         options.refuse(arguments, ("map", "poses"), f"goes with a log, and {path} is read as a map")
         try:
             return read_map(path, topic=arguments.map_topic)
         except FormatError as error:
-            raise (options.parameters_instead_of("map", path) or error) from None
+            raise (inputs.parameters_instead_of("map", path) or error) from None
     try:
-        return options.read_scans(arguments)
+        return inputs.read_scans(arguments)
     except FormatError as error:
         return _poses(path, arguments) or _map_of_bag(path, error)
 
@@ -121,7 +121,7 @@ def _read_background(content: Content, arguments: argparse.Namespace) -> Occupan
 
     if isinstance(content, ScanLog) and not any(sensor.has_poses for sensor in content.sensors.values()):
         raise FormatError(arguments.log, "no scan has a reference pose to draw it on a map; give --poses FILE")
-    return options.read_grid(arguments)
+    return inputs.read_grid(arguments)
 
 
 def _facts(content: Content, path: Path) -> dict[str, Any]:

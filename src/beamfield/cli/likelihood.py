@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
 from beamfield.cli.wording import pose_text
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     options.check_output(arguments.out, "out", *options.PICTURES)
     options.check_output(arguments.npz, "npz", ".npz")
     with options.progress(arguments) as progress:
-        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
+        grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)
         if not grid.free.any():
             raise FormatError(arguments.map, "the map has no free cell, so there is no place to compare")
         scan = _scan(sensor, arguments)
@@ -132,7 +132,7 @@ def _measurement_and_model(
     from beamfield.models.map_matching import MapMatchingModel
     from beamfield.models.sonar import SonarModel
 
-    table = options.read_range_table(arguments, grid, scan.finder)
+    table = inputs.read_range_table(arguments, grid, scan.finder)
     if arguments.model == "map_matching":
         return _local_map(sensor, grid, arguments), MapMatchingModel(grid), []
     lattice = {"resolution": arguments.resolution, "headings": arguments.headings}
@@ -184,10 +184,10 @@ def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldPa
 
     if arguments.params is None:
         return LikelihoodFieldParameters.from_beam_parameters(_parameters(arguments, scan)), []
-    read = options.read_field_or_beam_model(arguments.params)
+    read = inputs.read_field_or_beam_model(arguments.params)
     if isinstance(read, SavedLikelihoodField):
         return read, []
-    notes = options.left_out_of_a_field(read, arguments.params)
+    notes = inputs.left_out_of_a_field(read, arguments.params)
     return LikelihoodFieldParameters.from_beam_parameters(read, drop=EXTENSIONS), notes
 
 

@@ -25,7 +25,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
 from beamfield.cli.progress import StageProgress
@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     options.check_output(arguments.animation, "animation", ".gif")
     check_recordings(arguments)
     with options.progress(arguments) as progress:
-        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
+        grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)
         _check_inputs(sensor, grid, arguments)
         sensor, more = _with_poses_that_hold(sensor, grid, arguments, progress)
         log, start = _start(sensor, grid, arguments)
@@ -155,7 +155,7 @@ def _with_poses_that_hold(
 def _check_inputs(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> None:
     from beamfield.maps.range_scale import require_metres
 
-    options.require_odometry(sensor, arguments.log)
+    inputs.require_odometry(sensor, arguments.log)
     if not ((sensor.ranges > 0.0) & (sensor.ranges < sensor.finder.max_range)).any():
         raise FormatError(
             arguments.log, "no reading of any scan hits anything; see what was read with beamfield inspect"
@@ -250,16 +250,16 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     is_field = arguments.model != "beam"
     saved: Any = None
     if arguments.params is not None:
-        read: Any = options.read_field_or_beam_model if is_field else read_beam_model
+        read: Any = inputs.read_field_or_beam_model if is_field else read_beam_model
         saved = read(arguments.params)
     how = _counting(saved, log.finder.n_beams, arguments)
-    table = options.read_range_table(arguments, grid, log.finder)
+    table = inputs.read_range_table(arguments, grid, log.finder)
     parameters: Any = BeamParameters(**DEFAULTS) if saved is None else saved.parameters
     if not is_field:
         return BeamModel(grid, parameters, caster=table, **how), []
     notes: list[str] = []
     if not isinstance(saved, SavedLikelihoodField):
-        notes = options.left_out_of_a_field(parameters, arguments.params)
+        notes = inputs.left_out_of_a_field(parameters, arguments.params)
         parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=EXTENSIONS)
     return LikelihoodFieldModel(hollowed(grid), parameters, **how), notes
 

@@ -18,7 +18,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
 from beamfield.errors import InvalidInputError, TooLittleDataError, about_file
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     out: Path = arguments.out
     with options.progress(arguments) as progress:
         progress("reading the log", 0, 1)
-        sensor, notes = options.read_sensor(arguments)
+        sensor, notes = inputs.read_sensor(arguments)
         sensor, fitted, more = _posed(sensor, arguments, progress)
         with about_file(arguments.log):
             grid = build_map(
@@ -111,8 +111,8 @@ def _posed(
     from beamfield.cli.fitted_poses import posed_as_asked
 
     if arguments.map is None:
-        return options.require_poses(sensor, arguments), None, ()
-    log, fitted, found = posed_as_asked(sensor, options.read_walls(arguments), arguments, progress)
+        return inputs.require_poses(sensor, arguments), None, ()
+    log, fitted, found = posed_as_asked(sensor, inputs.read_walls(arguments), arguments, progress)
     return log, fitted, tuple(finding.full_text for finding in found)
 
 

@@ -18,7 +18,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, positive
 
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     built = False
     with options.progress(arguments) as progress:
         progress("reading the map", 0, 1)
-        grid = options.read_walls(arguments)
+        grid = inputs.read_walls(arguments)
         plan = RangeTablePlan(grid, arguments.max_range, arguments.resolution, arguments.headings)
         plan.check_size(arguments.max_size)
 

@@ -21,7 +21,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, not_negative, positive
 from beamfield.cli.provenance import provenance
@@ -203,7 +203,7 @@ def _world(arguments: argparse.Namespace) -> OccupancyGrid:
     from beamfield.simulation.floor_plan import draw_floor_plan
 
     if arguments.map is not None:
-        return options.read_grid(arguments)
+        return inputs.read_grid(arguments)
     return draw_floor_plan(
         seed=arguments.seed, width=arguments.width, height=arguments.height, resolution=arguments.resolution
     )

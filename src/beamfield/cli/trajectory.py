@@ -19,7 +19,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli import options
+from beamfield.cli import inputs, options
 from beamfield.cli.fitted_poses import about_its_file
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, positive
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     picture = _picture(arguments)
     with options.progress(arguments) as progress:
-        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
+        grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)
         try:
             fit = fit_trajectory(
                 sensor, grid, start=options.start_of(arguments), progress=progress,

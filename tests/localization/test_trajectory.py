@@ -50,6 +50,12 @@ def test_a_drive_with_drifting_odometry_is_found_without_a_start(fit: Trajectory
     assert np.isfinite(fit.covariances).all()
 
 
+@pytest.mark.parametrize(("share", "said"), [(1.0, "turns by "), (0.0, "the robot hardly turned")])
+def test_errors_of_turns_are_told_only_of_a_robot_that_turned(fit: TrajectoryFit, share, said):
+    fit = replace(fit, poses=fit.poses * [1.0, 1.0, share])
+    assert said in fit.summary().splitlines()[-1]
+
+
 def test_a_robot_is_found_where_all_that_is_not_free_is_painted_black(drive: SensorLog, black_office: OccupancyGrid):
     log = drive.select(np.arange(160))
     assert distances(fit_trajectory(log, black_office), log).max() < 0.1

@@ -35,6 +35,8 @@ Progress = Callable[[str, int, int], None]
 FEWEST_SCANS, FEWEST_POINTS = 3, 100
 # Metres, a radian of turning counting as a tenth of one: a robot that stands sees one place, of which maps have many.
 LEAST_WAY = 0.3
+# A robot that turns less, radians, does not tell how far its odometry turns.
+LEAST_TURN = 0.5
 # Without odometry it is an alignment that slipped, not a wheel.
 OF_WHEELS = ("wheel-slip", "odometry-scale", "odometry-turn-scale", "odometry-drift", "odometry-drift-at-rest")
 # With this share of trusted poses a course is right even if most readings disagree with the map.
@@ -100,13 +102,15 @@ class TrajectoryFit:
         deviation = position_deviations(self.covariances)[self.trusted if self.trusted.any() else slice(None)]
         path = float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
         x, y, theta = self.poses[0]
+        turned = np.ptp(np.unwrap(self.poses[:, 2])) >= LEAST_TURN
         return (
             f"start      {x:.3f} m, {y:.3f} m, {np.degrees(theta):.1f} deg; "
             f"{self.hypotheses[0].agrees:.0%} of the beams agree with the map\n"
             f"path       {len(self)} scans, {path:.1f} m, {self.stamps[-1] - self.stamps[0]:.1f} s\n"
             f"trusted    {self.trusted.mean():.1%} of the scans\n"
             f"position   {np.median(deviation):.3f} m standard deviation (median), {deviation.max():.3f} m at worst\n"
-            f"odometry   distances off by {-self.distance_scale:+.2%}, turns by {-self.turn_scale:+.2%}"
+            f"odometry   distances off by {-self.distance_scale:+.2%}"
+            + (f", turns by {-self.turn_scale:+.2%}" if turned else "; the robot hardly turned")
         )
 
 

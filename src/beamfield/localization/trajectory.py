@@ -18,6 +18,7 @@ from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
 from beamfield.localization.robot_faults import OF_THE_ROBOT
 from beamfield.localization.scan_delay import scan_delay
 from beamfield.localization.scan_odometry import odometry_from_scans
+from beamfield.localization.scan_parts import parts_that_disagree
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_start import Course
 from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings
@@ -250,7 +251,7 @@ def fit_course(
         before = [wrong, *(one for one in before if wrong.name != "laser-mount" or one.name != "odometry-sign")]
     if any(one.name in OF_THE_ROBOT for one in before):
         seen = [one for one in seen if one.name != "wheel-slip"]
-    findings = [*before, *seen, *more, *robot_in_sight(log)]
+    findings = [*before, *seen, *more, *robot_in_sight(log), *parts_that_disagree(log, grid, fitted.poses, trusted)]
     fit = _result(log, fitted, turns, trusted, findings, found.hypotheses)
     outdated = find_outdated_map(log, grid, fit.poses, are_right=fit.is_beyond_doubt)
     return fit if outdated is None else replace(fit, findings=worst_first([*findings, outdated]))

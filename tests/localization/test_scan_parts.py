@@ -9,6 +9,7 @@ import pytest
 
 from beamfield.localization.scan_parts import parts_that_disagree
 from beamfield.localization.trajectory import fit_trajectory
+from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 
@@ -32,9 +33,9 @@ def test_a_laser_that_was_merged_by_a_wrong_transform_is_named(drive: SensorLog,
 @pytest.mark.parametrize(("stretched", "n"), [(1.0, 0), (1.01, 0), (1.06, 1)])
 def test_bearings_that_are_too_wide_are_named(drive: SensorLog, office: OccupancyGrid, stretched, n):
     log = with_bearings(drive, stretched * drive.finder.mounts[:, 2])
-    assert len(parts_that_disagree(log, office, drive.poses, np.ones(len(drive), bool))) == n
+    assert len(parts_that_disagree(log, walls_of(office), drive.poses, np.ones(len(drive), bool))) == n
 
 
 def test_few_scans_say_nothing(drive: SensorLog, office: OccupancyGrid):
     log = with_bearings(drive, 1.06 * drive.finder.mounts[:, 2])
-    assert parts_that_disagree(log, office, drive.poses, np.arange(len(drive)) < 19) == []
+    assert parts_that_disagree(log, walls_of(office), drive.poses, np.arange(len(drive)) < 19) == []

@@ -251,7 +251,7 @@ def fit_course(
         before = [wrong, *(one for one in before if wrong.name != "laser-mount" or one.name != "odometry-sign")]
     if any(one.name in OF_THE_ROBOT for one in before):
         seen = [one for one in seen if one.name != "wheel-slip"]
-    findings = [*before, *seen, *more, *robot_in_sight(log), *parts_that_disagree(log, grid, fitted.poses, trusted)]
+    findings = [*before, *seen, *more, *robot_in_sight(log), *parts_that_disagree(log, walls, fitted.poses, trusted)]
     fit = _result(log, fitted, turns, trusted, findings, found.hypotheses)
     outdated = find_outdated_map(log, grid, fit.poses, are_right=fit.is_beyond_doubt)
     return fit if outdated is None else replace(fit, findings=worst_first([*findings, outdated]))

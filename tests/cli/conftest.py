@@ -8,18 +8,21 @@ from functools import cache, partial
 import pytest
 
 from beamfield.calibration import pose_windows
+from beamfield.cli import main as command_line
 from beamfield.simulation import floor_plan
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 
 # Out of the fixture: a process runs files of other packages in between, and comes back.
 draw_once = cache(floor_plan.draw_floor_plan)
+build_once = cache(command_line.build_parser)
 
 
 @pytest.fixture(scope="package", autouse=True)
-def plans_drawn_once() -> Iterator[None]:
-    """Draw each floor plan once for all commands that simulate in it."""
+def made_once() -> Iterator[None]:
+    """Draw each floor plan once for all commands that simulate in it, and build the commands' parser once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(floor_plan, "draw_floor_plan", draw_once)
+        patch.setattr(command_line, "build_parser", build_once)
         yield
 
 

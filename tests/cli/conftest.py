@@ -9,6 +9,7 @@ import pytest
 
 from beamfield.calibration import pose_windows
 from beamfield.cli import main as command_line
+from beamfield.localization import trajectory_start
 from beamfield.simulation import floor_plan
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 
@@ -18,9 +19,13 @@ build_once = cache(command_line.build_parser)
 
 
 @pytest.fixture(scope="package", autouse=True)
-def made_once() -> Iterator[None]:
-    """Draw each floor plan once for all commands that simulate in it, and build the commands' parser once."""
+def less_to_do() -> Iterator[None]:
+    """Draw each floor plan once for all commands that simulate in it, and build the commands' parser once.
+
+    Trajectories are searched for from few places: from where is tested elsewhere.
+    """
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trajectory_start, "PLACES", 2)
         patch.setattr(floor_plan, "draw_floor_plan", draw_once)
         patch.setattr(command_line, "build_parser", build_once)
         yield

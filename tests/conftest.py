@@ -6,6 +6,7 @@ import gc
 import os
 import shutil
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,20 @@ gc.disable()
 def pytest_collection_finish() -> None:
     gc.freeze()
     gc.enable()
+    # Nor need it look so often at what tests make, nearly all of which goes without it.
+    gc.set_threshold(50_000, 20, 20)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def bags_are_quick() -> Iterator[None]:
+    """Let rosbags compile each of its messages once instead of in every bag."""
+    if find_spec("rosbags") is None:
+        yield
+        return
+    from tests.fuzz.worker import compiled_once
+
+    with compiled_once():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ import gc
 import os
 import shutil
 from collections.abc import Iterator
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from beamfield.cli import main as command_line
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
@@ -51,6 +53,14 @@ def bags_are_quick() -> Iterator[None]:
     from tests.fuzz.worker import compiled_once
 
     with compiled_once():
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def parser_is_built_once() -> Iterator[None]:
+    """Build the parser of all commands once for all that are run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command_line, "build_parser", cache(command_line.build_parser))
         yield
 
 

@@ -10,20 +10,18 @@ import pytest
 from beamfield.calibration import pose_windows
 from beamfield.calibration.context import exponent
 from beamfield.calibration.field import learning as field_learning
-from beamfield.cli import main as command_line
 from beamfield.localization import trajectory_start
 from beamfield.simulation import floor_plan
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 
 # Out of the fixture: a process runs files of other packages in between, and comes back.
 draw_once = cache(floor_plan.draw_floor_plan)
-build_once = cache(command_line.build_parser)
 few_poses = partial(pose_windows.WindowOptions, windows=60, near=100, far=25)
 
 
 @pytest.fixture(scope="package", autouse=True)
 def less_to_do() -> Iterator[None]:
-    """Draw each floor plan once for all commands that simulate in it, and build the commands' parser once.
+    """Draw each floor plan once for all commands that simulate in it.
 
     Trajectories are searched for from few places, and few poses compete with the reference: what is learned from them
     is tested elsewhere.
@@ -33,7 +31,6 @@ def less_to_do() -> Iterator[None]:
         for module in (exponent, field_learning):
             patch.setattr(module, "WindowOptions", few_poses)
         patch.setattr(floor_plan, "draw_floor_plan", draw_once)
-        patch.setattr(command_line, "build_parser", build_once)
         yield
 
 

@@ -6,7 +6,7 @@ import gc
 import os
 import shutil
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from beamfield.cli import main as command_line
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation import trajectory
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from tests.oracle_case import OracleCase
@@ -57,10 +58,11 @@ def bags_are_quick() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def parser_is_built_once() -> Iterator[None]:
-    """Build the parser of all commands once for all that are run."""
+def made_once() -> Iterator[None]:
+    """Build the parser of all commands once for all that are run, and prepare each map once for all drives in it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(command_line, "build_parser", cache(command_line.build_parser))
+        patch.setattr(trajectory, "_FreeSpace", lru_cache(maxsize=30)(trajectory._FreeSpace))
         yield
 
 

@@ -24,6 +24,7 @@ from beamfield.simulation import trajectory
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from tests.oracle_case import OracleCase
+from tests.quick_bags import compiled_once
 
 matplotlib.use("Agg")
 
@@ -51,8 +52,6 @@ def bags_are_quick() -> Iterator[None]:
     if find_spec("rosbags") is None:
         yield
         return
-    from tests.fuzz.worker import compiled_once
-
     with compiled_once():
         yield
 

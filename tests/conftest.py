@@ -6,6 +6,8 @@ import gc
 import os
 import shutil
 from collections.abc import Iterator
+from functools import cache, lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,15 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from beamfield.cli import main as command_line
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation import trajectory
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from tests.oracle_case import OracleCase
+from tests.quick_bags import compiled_once
 
 matplotlib.use("Agg")
 
@@ -37,6 +42,27 @@ gc.disable()
 def pytest_collection_finish() -> None:
     gc.freeze()
     gc.enable()
+    # Nor need it look so often at what tests make, nearly all of which goes without it.
+    gc.set_threshold(50_000, 20, 20)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def bags_are_quick() -> Iterator[None]:
+    """Let rosbags compile each of its messages once instead of in every bag."""
+    if find_spec("rosbags") is None:
+        yield
+        return
+    with compiled_once():
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def made_once() -> Iterator[None]:
+    """Build the parser of all commands once for all that are run, and prepare each map once for all drives in it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command_line, "build_parser", cache(command_line.build_parser))
+        patch.setattr(trajectory, "_FreeSpace", lru_cache(maxsize=30)(trajectory._FreeSpace))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache, partial
+from functools import cache
 
 import pytest
 
 from beamfield.calibration import pose_windows
+from beamfield.localization import trajectory_start
 from beamfield.simulation import floor_plan
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
+from tests.few_poses import FEW_POSES, few_poses
 
 # Out of the fixture: a process runs files of other packages in between, and comes back.
 draw_once = cache(floor_plan.draw_floor_plan)
 
 
 @pytest.fixture(scope="package", autouse=True)
-def plans_drawn_once() -> Iterator[None]:
-    """Draw each floor plan once for all commands that simulate in it."""
-    with pytest.MonkeyPatch.context() as patch:
+def less_to_do() -> Iterator[None]:
+    """Draw each floor plan once for all commands that simulate in it.
+
+    Trajectories are searched for from few places: from where is tested elsewhere.
+    """
+    with pytest.MonkeyPatch.context() as patch, few_poses():
+        patch.setattr(trajectory_start, "PLACES", 2)
         patch.setattr(floor_plan, "draw_floor_plan", draw_once)
         yield
 
@@ -39,9 +45,7 @@ def short_stack_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay_choice, "LAST", 1)
     monkeypatch.setattr(motion_candidates, "ALPHAS", ((0.05, 0.05),))
     monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9,))
-    monkeypatch.setattr(
-        pose_windows, "WindowOptions", partial(pose_windows.WindowOptions, windows=60, near=100, far=25)
-    )
+    monkeypatch.setattr(pose_windows, "WindowOptions", FEW_POSES)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from beamfield.explorer.shown_run import read_shown_run
 from beamfield.explorer.widget import answered, explore
 from beamfield.io.trajectory import write_tum
 from beamfield.sensors import Track
+from tests.few_poses import few_poses
 
 
 def test_a_message_of_the_notebook_is_answered(session):
@@ -41,12 +42,9 @@ def test_a_log_is_learned_from_and_its_scans_judged(drive, office, tmp_path):
     # A filter that loses its way after half of the log.
     off = np.where(np.arange(len(drive)) < 240, 0.0, 3.0)[:, None] * np.array([1.0, 0.3, 0.5])
     write_tum(tmp_path / "run.tum", Track(drive.stamps, drive.poses + off))
-    session, why = open_session(
-        drive,
-        office,
-        run=read_shown_run(tmp_path / "run.tum", drive, office),
-        progress=lambda stage, *_: stages.append(stage),
-    )
+    run = read_shown_run(tmp_path / "run.tum", drive, office)
+    with few_poses():
+        session, why = open_session(drive, office, run=run, progress=lambda stage, *_: stages.append(stage))
     assert why is None
     assert [one.label for one in session.sets[:2]] == ["beam model, fitted", "likelihood field, fitted"]
     assert {"log likelihood of a reading [nats]", "p-value", "probability of being lost"} < set(session.numbers)

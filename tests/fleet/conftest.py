@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from beamfield.localization import trajectory_start
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from tests.fleet.small_fleet import write_small_fleet
@@ -15,6 +17,14 @@ from tests.fleet.small_fleet import write_small_fleet
 collect_ignore_glob: list[str] = []
 if any(find_spec(name) is None for name in ("distributed", "fsspec", "pyarrow")):
     collect_ignore_glob.append("test_*.py")
+
+
+@pytest.fixture(scope="package", autouse=True)
+def few_places() -> Iterator[None]:
+    """Search for trajectories from few places: from where is tested elsewhere."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trajectory_start, "PLACES", 2)
+        yield
 
 
 @pytest.fixture(scope="session")

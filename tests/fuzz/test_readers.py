@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,19 +9,13 @@ import pytest
 from tests.fuzz.outcome import observe
 from tests.fuzz.target import Target
 from tests.fuzz.targets import TARGETS
-from tests.fuzz.worker import Stream, compiled_once, read_inputs
+from tests.fuzz.worker import Stream, read_inputs
 
 SEED = "1"
 # By how long one takes: bags and commands need ten to thirty times as long as a page of text.
 FEW, SOME, MANY = 5, 25, 80
 SLOW = ("bag1", "db3", "mcap", "ros2_folder", "translate_patch", "calibrate_patch", "inspect_", "doctor")
 MEDIUM = ("map_yaml", "pgm", "png", "bmp", "beam_model", "field_model", "landmark_model", "stack_yaml")
-
-
-@pytest.fixture(autouse=True)
-def quick_bags() -> Iterator[None]:
-    with compiled_once():
-        yield
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)

@@ -12,20 +12,17 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import CodeType, ModuleType
 from typing import Any
-from unittest import mock
 
 from tests.fuzz.case import Case
 from tests.fuzz.memory import PeakMemory, address_space
 from tests.fuzz.mutate import mutated
 from tests.fuzz.outcome import Outcome, keep, observe
 from tests.fuzz.target import Target
+from tests.quick_bags import compiled_once
 
 # Beyond what the examples need; a reader that asks for more gets a MemoryError before the machine suffers.
 SPARE_BYTES = 2 * 2**30
@@ -205,23 +202,3 @@ def _n_open() -> int:
         return len(list(Path("/proc/self/fd").iterdir()))
     except OSError:
         return 0
-
-
-@contextmanager
-def compiled_once() -> Iterator[None]:
-    """Let rosbags compile each text of its generated code once: the same in every bag, and most of its time."""
-    from rosbags.serde import cdr, ros1
-
-    with mock.patch.object(cdr, "compile_lines", _module_of), mock.patch.object(ros1, "compile_lines", _module_of):
-        yield
-
-
-def _module_of(lines: list[str]) -> ModuleType:
-    module = ModuleType("tmpmod")
-    exec(_code_of("\n".join(lines)), module.__dict__)
-    return module
-
-
-@lru_cache(maxsize=5000)
-def _code_of(text: str) -> CodeType:
-    return compile(text, "<rosbags>", "exec")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -32,16 +34,25 @@ def quaternion(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> tuple
     )
 
 
+@cache
+def types_of(storage: str) -> Typestore:
+    """Return the messages' definitions, which all bags share: each store compiles its messages anew."""
+    if storage != "ros1":
+        types = get_typestore(Stores.LATEST)
+    else:
+        types = get_typestore(Stores.ROS1_NOETIC)
+        types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    types.register(get_types_from_msg("std_msgs/Header header\nfloat32[] raw", RAW))
+    return types
+
+
 class MiniBag:
     """Collects messages and writes them in any of the three storages."""
 
     def __init__(self, storage: str = "mcap") -> None:
         self.storage = storage
         self.ros1 = storage == "ros1"
-        self.types = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.LATEST)
-        self.types.register(get_types_from_msg("std_msgs/Header header\nfloat32[] raw", RAW))
-        if self.ros1:
-            self.types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+        self.types = types_of("ros1" if self.ros1 else "ros2")
         self.messages: list[tuple[str, str, float, object]] = []
         self.topics: dict[str, str] = {}
 

@@ -23,7 +23,7 @@ from beamfield.io.bags.fiducial_detections import (
     read_camera_images,
     read_fiducials,
 )
-from tests.io.mini_bag import MiniBag
+from tests.io.mini_bag import MiniBag, types_of
 
 DEFINITIONS = {
     "fiducial_msgs/msg/Fiducial": "int32 fiducial_id\nint32 direction\n"
@@ -256,6 +256,7 @@ def test_a_png_with_missing_rows_is_refused_before_room_is_made_for_it(tmp_path,
 
 def test_a_type_of_that_name_with_other_fields_is_refused(tmp_path):
     bag = MiniBag("ros1")
+    bag.types = types_of.__wrapped__("ros1")  # not those that other bags share
     bag.types.register(get_types_from_msg("std_msgs/Header header\nint32 nothing", CORNERS))
     bag.add("/v", CORNERS, bag.make(CORNERS, header=bag.header(1.0, ""), nothing=3), 1.0)
     with pytest.raises(FormatError, match="/v, message 1: not a valid fiducial_msgs/msg/FiducialArray"):

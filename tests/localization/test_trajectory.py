@@ -39,6 +39,12 @@ def fit(drive: SensorLog, office: OccupancyGrid) -> TrajectoryFit:
     return fit_trajectory(drive.with_poses(np.full((len(drive), 3), np.nan)), office)
 
 
+@pytest.fixture(autouse=True)
+def few_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three places to search from, for all but `fit`: each is searched and followed like the others."""
+    monkeypatch.setattr("beamfield.localization.trajectory_start.PLACES", 3)
+
+
 def test_a_drive_with_drifting_odometry_is_found_without_a_start(fit: TrajectoryFit, drive: SensorLog):
     assert np.hypot(*(compose(drive.poses[0], drive.odometry) - drive.poses)[-1, :2]) > 0.3
     assert distances(fit, drive).mean() < 0.02

@@ -118,13 +118,13 @@ def before_line_start(text: str, at: int) -> int:
     return start - len(text[:start]) + len(text[:start].removesuffix("\n").removesuffix("\r"))
 
 
-@settings(max_examples=80, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(yaml_documents(), NEW_VALUES)
 def test_only_the_values_asked_for_change_in_yaml(text, values):
     check(text, "amcl.yaml", values)
 
 
-@settings(max_examples=80, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(launch_documents(), NEW_VALUES)
 def test_only_the_values_asked_for_change_in_launch_files(text, values):
     check(text, "amcl.launch", values)

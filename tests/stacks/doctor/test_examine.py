@@ -184,6 +184,12 @@ FINDINGS = {
     "updates-far-apart in angle": ({"update_min_a": 1.1}, {}, {"update_min_a": 1.0}, {}),
     "particles-reversed": ({"min_particles": 500, "max_particles": 100}, {},
                            {"min_particles": 100, "max_particles": 500}, {}),
+    "few-particles": ({"min_particles": 100, "max_particles": 199}, {},
+                      {"min_particles": 100, "max_particles": 200}, {}),
+    "few-particles of a sum": (
+        {"min_particles": 50, "max_particles": 100}, {},
+        {"min_particles": 50, "max_particles": 100, "laser_model_type": "likelihood_field_prob"}, {},
+    ),
     "recovery-in-product": (
         {"laser_model_type": "likelihood_field_prob", "recovery_alpha_slow": 0.001, "recovery_alpha_fast": 0.1}, {},
         {"laser_model_type": "likelihood_field", "recovery_alpha_slow": 0.001, "recovery_alpha_fast": 0.1}, {},

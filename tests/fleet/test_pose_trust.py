@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -17,6 +18,7 @@ from beamfield.fleet.engine import Engine
 from beamfield.fleet.pose_trust import DOUBTS, lost_finding, warnings_in
 from beamfield.fleet.robot_state import robot_states
 from beamfield.fleet.run_record import RunRecord, record_from_json
+from beamfield.fleet.run_warnings import run_warnings
 from beamfield.fleet.scan import scan_fleet
 from beamfield.geometry import between
 from beamfield.io.maps.ros_map_writer import write_map
@@ -140,6 +142,16 @@ def test_odometry_of_the_wrong_sign_reaches_the_robots_state(run, office, tmp_pa
     assert (record.status, record.pose_source) == ("used", "fitted")
     (state,) = robot_states([record], ())
     assert (state.light, [one.name for one in state.findings if one.name != "untested"]) == ("red", ["odometry-sign"])
+
+
+def test_a_wrong_mount_is_named_and_not_the_odometry_that_disagrees_with_it():
+    mount, odometry = (Finding(name, "warning", name) for name in ("laser-mount", "odometry-disagrees"))
+    one = SimpleNamespace(run="a", is_used=True, findings=(mount, odometry))
+    other = SimpleNamespace(run="b", is_used=True, findings=(odometry,))
+    assert [(urgency, said.name) for urgency, said in run_warnings([one])] == [(1.0, "laser-mount")]
+    assert [said.text for _, said in run_warnings([one, other])] == [
+        "In 1 of 2 runs, as in a: laser-mount", "In 1 of 2 runs, as in b: odometry-disagrees"
+    ]  # fmt: skip
 
 
 def test_wrong_odometry_does_not_take_a_run_its_good_poses(run, office, tmp_path):

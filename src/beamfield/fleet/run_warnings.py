@@ -8,12 +8,14 @@ from dataclasses import replace
 from beamfield.finding import Finding
 from beamfield.fleet.pose_trust import LOST, doubts_in
 from beamfield.fleet.run_record import RunRecord
+from beamfield.localization.robot_faults import OF_THE_ROBOT
 
 # Warnings of a run that are about the robot, by how urgent they are: 1 and more is red. A lost one's is how far off it
-# was, in metres; one that takes its odometry with the wrong sign gets lost.
+# was, in metres; with a wrong sign, mount or delay it gets lost.
 URGENCY = {
-    LOST: 1.0, "odometry-sign": 1.0, "odometry-scale": 0.5, "odometry-disagrees": 0.5, "odometry-reset": 0.5,
-    "odometry-jumps": 0.5, "kidnapped": 0.5,
+    LOST: 1.0, "odometry-sign": 1.0, "laser-mount": 1.0, "scan-delay": 1.0, "scan-parts-disagree": 0.5,
+    "odometry-scale": 0.5, "odometry-turn-scale": 0.5, "odometry-drift": 0.5, "odometry-drift-at-rest": 0.5,
+    "odometry-disagrees": 0.5, "odometry-reset": 0.5, "odometry-jumps": 0.5, "kidnapped": 0.5,
 }  # fmt: skip
 
 
@@ -21,6 +23,9 @@ def run_warnings(runs: Sequence[RunRecord]) -> Iterator[tuple[float, Finding]]:
     """Yield the warnings about a robot in all its runs, used or not, each once, with how urgent it is."""
     for name in URGENCY:
         found = [(_urgency(one), run, one) for run in runs for one in run.findings if one.name == name]
+        if name == "odometry-disagrees":
+            # As it does with a wrong mount, too.
+            found = [entry for entry in found if not any(one.name in OF_THE_ROBOT for one in entry[1].findings)]
         if found:
             # The first one of the worst.
             urgency, run, worst = max(found, key=lambda entry: entry[0])

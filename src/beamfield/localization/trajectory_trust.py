@@ -138,7 +138,8 @@ def _carried(drive: Drive, course: Course, since: FloatArray) -> Iterator[Findin
         yield Finding(
             "kidnapped", "warning",
             f"The robot was carried {distance:.1f} m and turned by {np.degrees(turn):.0f} degrees {when:.1f} s after "
-            "the first scan, its odometry failed there, or the start that was given is wrong.",
+            "the first scan, its odometry (or what stands for it, aligned scans) failed there, or the start that was "
+            "given is wrong.",
             {"time_s": when, "distance_m": distance, "turn_rad": turn},
             why="Nothing but the scans says where it went on; they are right only if the map is distinct there.",
             do="Split the log there if that was no accident.",

@@ -16,7 +16,7 @@ grids = arrays.arrays(bool, st.tuples(st.integers(1, 7), st.integers(1, 7)))
 starts = st.tuples(st.integers(-12, 40), st.integers(-12, 40))
 slopes = st.tuples(st.integers(-5, 5), st.integers(-5, 5))
 rays = st.lists(st.tuples(starts, slopes), min_size=1, max_size=30)
-relaxed = settings(max_examples=100, derandomize=True)
+relaxed = settings(max_examples=200, derandomize=True)
 
 
 def as_origins(chosen):

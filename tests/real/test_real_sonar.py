@@ -25,8 +25,8 @@ def corridor(data: Path) -> SensorLog:
 
 
 @cache
-def drone(data: Path) -> SensorLog:
-    return crazyflie(data / "crazyflie_multiranger" / "olsson-3loop.bag")
+def drone(data: Path, name: str) -> SensorLog:
+    return crazyflie(data / "crazyflie_multiranger" / f"{name}.bag")
 
 
 def gain(log: SensorLog, width_deg: float) -> float:
@@ -43,8 +43,9 @@ def test_cones_explain_the_corridors_sonars_and_beams_do_not(corridor: SensorLog
     assert declared > wide + 0.2
 
 
-def test_the_drones_rangers_are_as_wide_as_their_data_sheet_says(data: Path):
-    log = drone(data)
+@pytest.mark.parametrize("name", ["olsson-3loop", "rice"])
+def test_the_drones_rangers_are_as_wide_as_their_data_sheet_says(data: Path, name: str):
+    log = drone(data, name)
     assert np.degrees(log.finder.opening_angle) == pytest.approx(27.0)
     beams, narrow, declared, wide = (gain(log, width) for width in (0.0, 10.0, 27.0, 55.0))
     assert declared > 0.5
@@ -69,7 +70,7 @@ def test_the_main_job_calibrates_the_corridors_sonars_without_a_map(corridor: Se
 
 
 def test_the_main_job_calibrates_the_drones_rangers_without_a_map(data: Path):
-    log = drone(data)
+    log = drone(data, "olsson-3loop")
     result = calibrate(log, build_cross_fit_maps(log), CalibrationOptions(refine=False))
     # Drifting odometry makes the noise about as large as the defaults have it; they are behind all the same.
     assert all(score.behind_fit > score.behind_fit_se > 0.0 for score in result.scores[1:])

@@ -21,7 +21,7 @@ from beamfield.kernels.beam import (
     hit_sigma,
     log_mixture,
 )
-from beamfield.kernels.elementary import LOG2_E, ROUNDING, fused_exp_2
+from beamfield.kernels.elementary import LOG2_E, ROUNDING, fast_log, fused_exp_2
 from beamfield.kernels.jit import fused_kernel, inlined_fused_kernel, kernel
 
 Floats = NDArray[np.float64]
@@ -157,10 +157,10 @@ def fill_log_density(ranges: Floats, expected: Floats, view: BeamView, out: Floa
         _fill_decay(z, view, decay)
         _fill_quick(z, decay, z_star, at_limit, view, density)
         for i in range(n):
-            if density[i] > 0.0:
-                out[start + i] = math.log(density[i])
-            else:
-                out[start + i] = log_mixture(z[i], min(z_star[i], view.max_range), view)
+            out[start + i] = fast_log(density[i])
+        for i in range(n):
+            if density[i] < SMALLEST_FACTOR:
+                out[start + i] = _log_of(density[i], z[i], z_star[i], view)
 
 
 @kernel
@@ -181,11 +181,11 @@ def fill_scan_log_likelihood(ranges: Floats, expected: Floats, view: BeamView, o
             z[i * k + b] = ranges[b]
     _fill_decay(z, view, decay)
     at_limit = _limit_factor(view)
+    each = expected.reshape(-1)
     for start in range(0, expected.shape[0], n_together):
         n = min(n_together, expected.shape[0] - start)
-        for i in range(n):
-            for b in range(k):
-                z_star[i * k + b] = expected[start + i, b]
+        for j in range(n * k):
+            z_star[j] = each[start * k + j]
         _fill_quick(z, decay, z_star, at_limit, view, density)
         _fill_sums_of_logs(density, ranges, z_star, view, out[start : start + n])
 
@@ -221,7 +221,10 @@ def _fill_sums_of_logs(density: Floats, ranges: Floats, z_star: Floats, view: Be
                 total += _log_of(p, ranges[j - at], z_star[j], view)
             else:
                 product *= p
-        out[i] = total + math.log(product)
+        # Kept for the next loop, which is vectorised, where no later pose looks.
+        out[i], density[i] = total, product
+    for i in range(out.size):
+        out[i] += fast_log(density[i])
 
 
 @kernel

@@ -57,6 +57,14 @@ def test_transformed_parameters_come_back_with_their_variances():
     np.testing.assert_allclose(variances, ERRORS**2, rtol=1e-9)
 
 
+def test_intervals_of_weights_are_those_of_draws():
+    hit, *others = np.exp(np.random.default_rng(4).normal([0.0, *USUAL[:3]], [0.0, *ERRORS[:3]], (20_000, 4))).T
+    weights = np.array([hit, *others]) / (hit + sum(others))
+    found = intervals_from(USUAL, ERRORS**2, 1.96)
+    for name, draws in zip(("z_hit", "z_short", "z_max", "z_rand"), weights, strict=True):
+        assert found[name] == pytest.approx(np.quantile(draws, [0.025, 0.975]), rel=0.03), name
+
+
 def test_a_weight_that_was_not_seen_counts_as_its_interval_says():
     seen = fit_of(USUAL, "r", "s")
     intervals = {**seen.intervals.intervals, "z_short": (0.0, 0.003)}

@@ -87,6 +87,8 @@ def test_daily_numbers_are_those_of_the_beams(fleet, series):
             inside &= beams["expected_range"] < np.float32(MAX_RANGE)
             want = np.mean(beams["range"][inside] >= np.float32(MAX_RANGE))
             assert item.values[day] == pytest.approx(want, rel=1e-12)
+            # Of independent beams; these come in bursts.
+            assert 0.5 < item.standard_errors[day] / np.sqrt(want * (1.0 - want) / inside.sum()) < 8.0
         if item.robot == robot and item.fault == "range-bias":
             residual = beams["range"] - beams["expected_range"]
             hits = np.abs(residual) < 0.2

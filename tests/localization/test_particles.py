@@ -26,6 +26,7 @@ def test_moments_are_those_of_numpy_with_headings_on_the_circle(rng):
     np.testing.assert_allclose(whole.pose, mean, rtol=1e-10)
     np.testing.assert_allclose(whole.covariance, (weights * off.T) @ off, rtol=1e-9, atol=1e-12)
     assert whole.weight == 1.0
+    assert whole.spread == pytest.approx(np.sqrt(weights @ (off[:, :2] ** 2).sum(axis=1)), rel=1e-9)
 
 
 def clusters_by_search(poses: np.ndarray) -> list[int]:

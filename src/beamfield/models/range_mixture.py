@@ -173,8 +173,7 @@ class RangeMixtureModel(ABC):
         """Return which beams count: those with a measurement, thinned to n_beams about equally spaced ones."""
         _refuse_logs(scan)
         # What `usable_ranges` leaves, in a third of its time.
-        with np.errstate(invalid="ignore"):
-            valid: NDArray[np.int64] = (scan.ranges >= scan.finder.min_range).nonzero()[0]
+        valid: NDArray[np.int64] = (scan.ranges >= scan.finder.min_range).nonzero()[0]
         if self.n_beams is None or self.n_beams >= len(valid):
             return valid
         return np.asarray(valid[np.round(np.linspace(0, len(valid) - 1, self.n_beams)).astype(np.int64)])

@@ -146,7 +146,6 @@ def usable_ranges(ranges: ArrayLike, finder: RangeFinder) -> FloatArray:
     [2.0, 8.0, nan, nan, 8.0]
     """
     z = np.array(as_floats(ranges, "ranges"))
-    with np.errstate(invalid="ignore"):
-        z[z < finder.min_range] = np.nan
-        z[z >= finder.max_range] = finder.max_range
+    z[z < finder.min_range] = np.nan
+    z[z >= finder.max_range] = finder.max_range
     return z

@@ -55,8 +55,7 @@ def usable_beams(subject: Subject) -> Iterator[Finding]:
         return
     ranges = subject.log.ranges[:, selected]
     limit = min(subject.log.finder.max_range, _limit(subject))
-    with np.errstate(invalid="ignore"):
-        usable = ((ranges >= subject.log.finder.min_range) & (ranges < limit)).sum(axis=1)
+    usable = ((ranges >= subject.log.finder.min_range) & (ranges < limit)).sum(axis=1)
     median = float(np.median(usable))
     poor = float((usable < FEWEST_USABLE).mean())
     if median < FEWEST_USABLE or poor > 0.2:

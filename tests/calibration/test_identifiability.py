@@ -70,7 +70,7 @@ def test_uniform_shorts():
 
 def test_hits_so_wide_that_they_look_random():
     found = names(BeamParameters(0.5, 0.0, 0.1, 0.4, 3.0, 0.5), n=3000)
-    assert found & {"hits-and-random-confounded", "sigma-confounded", "several-modes"}
+    assert found >= {"hits-and-random-confounded", "sigma-confounded"}
 
 
 def test_shorts_and_random_readings_beyond_the_same_wall():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from beamfield.geometry import compose
 from beamfield.maps.drawn_walls import CLUTTER, LINE, NOTHING, UNSEEN, UNSURE, ranges_to_walls
 from beamfield.maps.hit_counts import HitCounts, count_hits
 from beamfield.sensors import RangeFinder, SensorLog
@@ -22,12 +23,16 @@ def to_wall(poses: np.ndarray, finder: RangeFinder) -> np.ndarray:
     return np.where(poses[:, None, 1] + z * np.sin(theta) < WALL_END, z, np.inf)
 
 
-def drawn(rng: np.random.Generator, n: int = 60, odd_share: float = 0.0) -> HitCounts:
-    """Draw the wall from n scans; a share of the readings is of unexpected objects, uniform up to the wall."""
+def drawn(rng: np.random.Generator, n: int = 60, odd_share: float = 0.0, turn: float = 0.0) -> HitCounts:
+    """Draw the wall, turned about the origin, from n scans.
+
+    A share of the readings is of unexpected objects, uniform up to the wall.
+    """
     poses = np.column_stack([rng.uniform(0.5, 2.5, n), rng.uniform(0.5, 2.0, n), rng.uniform(-0.2, 0.2, n)])
     z = to_wall(poses, FAN) + rng.normal(0.0, NOISE, (n, FAN.n_beams))
     odd = rng.random(z.shape) < odd_share
     z[odd] *= rng.random(odd.sum())
+    poses = compose([0.0, 0.0, turn], poses)
     return count_hits(SensorLog(FAN, np.arange(n), z, poses, np.full((n, 3), np.nan)), np.ones(n, bool), 0.05)
 
 
@@ -35,9 +40,10 @@ def ahead(*poses: tuple[float, float, float]) -> tuple[np.ndarray, RangeFinder]:
     return np.array(poses), RangeFinder.from_bearings([0.0], 8.0)
 
 
-def test_a_wall_is_found_inside_its_cell(rng):
+@pytest.mark.parametrize("turn", [0.0, 0.6, 2.2])
+def test_a_wall_is_found_inside_its_cell(rng, turn):
     poses, finder = ahead(*((x, y, t) for x in (1.0, 2.0) for y in (1.0, 1.5) for t in (-0.3, 0.0, 0.3)))
-    expected, met = ranges_to_walls(drawn(rng), poses, finder)
+    expected, met = ranges_to_walls(drawn(rng, turn=turn), compose([0.0, 0.0, turn], poses), finder)
     assert (met == LINE).all()
     # A cell's edge would be 0.02 m or 0.03 m off.
     np.testing.assert_allclose(expected, to_wall(poses, finder), atol=0.012)
@@ -97,3 +103,22 @@ def test_within_max_range_there_may_be_nothing(rng):
     expected, met = ranges_to_walls(drawn(rng), poses, short)
     assert met[0, 0] == NOTHING
     assert expected[0, 0] == 1.0
+
+
+def test_a_thin_post_is_where_its_readings_are(rng):
+    """Seen from all around, so that no line fits its end points."""
+    n, radius = 200, 0.04
+    heading = rng.uniform(-np.pi, np.pi, n)
+    poses = np.column_stack([-2.0 * np.cos(heading), -2.0 * np.sin(heading), heading])
+    finder = RangeFinder.from_bearings(np.radians(np.arange(-20.0, 21.0)), 8.0)
+    beside = 2.0 * np.sin(finder.bearings)
+    with np.errstate(invalid="ignore"):
+        z = 2.0 * np.cos(finder.bearings) - np.sqrt(radius**2 - beside**2)
+    z = np.where(np.isnan(z), np.inf, z) + rng.normal(0.0, 0.005, (n, finder.n_beams))
+    counts = count_hits(SensorLog(finder, np.arange(n), z, poses, np.full((n, 3), np.nan)), np.ones(n, bool), 0.05)
+    around = np.arange(-3.0, 3.0, 0.5)
+    start = np.column_stack([-1.5 * np.cos(around), -1.5 * np.sin(around), around])
+    expected, met = ranges_to_walls(counts, start, RangeFinder.from_bearings([0.0], 8.0))
+    assert (met == CLUTTER).sum() > 3
+    # The mean of what was read from all sides is the post's axis.
+    np.testing.assert_allclose(expected[met == CLUTTER], 1.5, atol=0.02)

@@ -117,8 +117,9 @@ def test_mounts_of_their_own_and_thread_counts_change_nothing(rooms, table):
     finder = RangeFinder.from_bearings(np.linspace(-2.0, 2.0, 31), 8.0, mount=(0.2, -0.1, 0.5))
     together = table.expected_ranges(poses, finder)
     # Another beam elsewhere makes each beam start for itself.
-    apart = RangeFinder(np.vstack([finder.mounts, [0.0, 0.0, 1.0]]), 8.0)
-    np.testing.assert_allclose(table.expected_ranges(poses, apart)[:, :-1], together, atol=2e-5)
+    for elsewhere in ([0.0, 0.0, 1.0], [0.201, -0.1, 1.0], [0.2, -0.101, 1.0]):
+        apart = RangeFinder(np.vstack([elsewhere, finder.mounts]), 8.0)
+        np.testing.assert_allclose(table.expected_ranges(poses, apart)[:, 1:], together, atol=2e-5)
     with forced_threads(4):
         np.testing.assert_array_equal(RangeTable.build(rooms, headings=90).codes, table.codes)
     assert pickle.loads(pickle.dumps(table)).error == table.error

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.ray_agreement import ray_agreement, scan_agreement
+from beamfield.maps.ray_agreement import passing_shares, ray_agreement, scan_agreement
 from beamfield.sensors import RangeFinder, SensorLog
 
 # Four walls, 5 m from the robot in the middle.
@@ -69,3 +69,10 @@ def test_readings_where_nothing_is_count_beyond_a_quarter(changed, expected):
     at = np.array([[1.1, 10.05, 0.0]])
     log = SensorLog(FAN, np.zeros(1), np.array([[{**WALL, **changed}.get(i, 5.0) for i in range(12)]]), at, at)
     assert scan_agreement(log, OccupancyGrid(cells, 0.1), at)[0] == pytest.approx(expected)
+
+
+def test_beams_that_pass_through_walls_are_a_share_of_those_that_count():
+    z = np.array([5.0, 8.0, 7.0, 3.0])
+    expected = np.array([[5.0, 5.0, 8.0, 5.0], [8.0, 8.0, 8.0, 8.0], [5.0, 5.0, 5.0, 5.0]])
+    # One of three that should hit something; none that should; two of four.
+    assert passing_shares(z, expected, room(0.05), 8.0) == pytest.approx([1 / 3, 0.0, 0.5])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.geometry import compose
+from beamfield.geometry import compose, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, SensorLog
 from beamfield.stacks.doctor.examine import CHECKS, examine
@@ -158,6 +158,14 @@ def sideways_drive():
     return replace(log, poses=compose(log.poses, right), odometry=compose(log.odometry, right))
 
 
+@cache
+def drive_in_a_circle():
+    """Return a drive to the left about a point 0.5 m away; the robot looks where it goes."""
+    turn = 0.1 * np.arange(200.0)
+    log, poses = noisy_drive(), np.column_stack([0.5 * np.sin(turn), 0.5 * (1.0 - np.cos(turn)), wrap_angle(turn)])
+    return replace(log[:200], poses=poses, odometry=poses)
+
+
 def made(others):
     """Return map and log, made now: at import, each worker would compile what makes them before its first test."""
     return {name: make() if callable(make) else make for name, make in others.items()}
@@ -176,6 +184,7 @@ FINDINGS = {
     "motion-noise-narrow": (alphas(0.001), {"log": noisy_drive}, alphas(0.03), {"log": noisy_drive}),
     "no-motion-noise": (alphas(0.0), {}, alphas(0.001), {}),
     "moves-sideways": (alphas(0.03), {"log": sideways_drive}, alphas(0.03), {"log": noisy_drive}),
+    "moves-sideways along an arc": (alphas(0.03), {"log": sideways_drive}, alphas(0.03), {"log": drive_in_a_circle}),
     "moves-sideways with the right model": (
         alphas(0.03), {"log": sideways_drive},
         {**alphas(0.03), "robot_model_type": '"nav2_amcl::OmniMotionModel"'}, {"log": sideways_drive},

@@ -23,7 +23,7 @@ def test_many_steps_at_once_find_what_single_steps_find(rng, n_steps):
     for steps in (known, np.minimum(known, 1)):
         ranges = np.empty((60, 20))
         starts = np.zeros((2, 20))
-        march(poses, (-0.3, 0.2, 0.0), 0.05, starts, bearings, STEP, BITS, n_steps, steps, ranges)
+        march(poses, (-0.3, 0.2), 0.05, starts, bearings, STEP, BITS, n_steps, steps, ranges)
         found.append(ranges)
     assert len(np.unique(found[1])) > 3
     assert found[0].tolist() == found[1].tolist()

@@ -219,7 +219,11 @@ def prob_fit(drive, office):
     )  # fmt: skip
 
 
-def test_a_fit_improves_the_posterior_on_windows_it_has_not_seen(prob_fit):
+def test_a_fit_improves_the_posterior_on_windows_it_has_not_seen(prob_fit, drive, office):
+    windows = cut_windows(drive, office, draw_rivals(EXACT, office), EXACT)
+    held_out = sum(window.fold == HELD_OUT for window in windows)
+    for trial in (prob_fit.before, prob_fit.chosen, prob_fit.trials[0]):
+        assert (len(trial.held_out.log_score), len(trial.crossed.log_score)) == (held_out, len(windows) - held_out)
     assert prob_fit.chosen.held_out.mean > prob_fit.before.held_out.mean
     assert net_score(prob_fit.chosen.held_out) > net_score(prob_fit.before.held_out)
     assert prob_fit.covers

@@ -17,7 +17,7 @@ OCCUPIED, UNKNOWN = 0, -1
 
 
 @kernel
-def march(poses: Floats, frame: tuple[float, float, float], resolution: float, starts: Floats, bearings: Floats,
+def march(poses: Floats, origin: tuple[float, float], resolution: float, starts: Floats, bearings: Floats,
           step: float, bits: int, n_steps: int, cells: NDArray[np.int16], ranges: Floats) -> None:  # fmt: skip
     """Look at every `step` of a ray until it meets an obstacle.
 
@@ -25,8 +25,8 @@ def march(poses: Floats, frame: tuple[float, float, float], resolution: float, s
     ----------
     poses
         (n, 3) robot poses.
-    frame
-        The grid's origin.
+    origin
+        Of the grid, whose axes are the map frame's, metres.
     resolution
         Metres per cell.
     starts
@@ -48,12 +48,9 @@ def march(poses: Floats, frame: tuple[float, float, float], resolution: float, s
         them meets one; -1 for rays that leave the map or meet an unknown cell.
     """
     rows, cols = cells.shape
-    cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
     one = float(1 << bits)
     for i in range(len(poses)):
-        dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
-        x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
-        heading = poses[i, 2] - frame[2]
+        x, y, heading = poses[i, 0] - origin[0], poses[i, 1] - origin[1], poses[i, 2]
         c, s = math.cos(heading), math.sin(heading)
         for b in range(len(bearings)):
             u = (x + (c * starts[0, b] - s * starts[1, b])) / resolution

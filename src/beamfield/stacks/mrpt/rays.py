@@ -117,12 +117,12 @@ class MrptRays(RayModel[MrptRayParameters]):
         ranges: FloatArray = np.empty((len(poses), len(mounts)))
         rows = np.require(poses, requirements=["C", "W"])
         starts, bearings = np.array(mounts[:, :2].T, order="C"), np.array(mounts[:, 2])
-        x, y, yaw = self._seen.origin.tolist()
+        x, y, _ = self._seen.origin.tolist()
         resolution = self._seen.resolution
         n_steps = round(max_range / resolution)
 
         def work(a: int, b: int) -> None:
-            march(rows[a:b], (x, y, yaw), resolution, starts, bearings, STEP, BITS, n_steps, self._cells, ranges[a:b])
+            march(rows[a:b], (x, y), resolution, starts, bearings, STEP, BITS, n_steps, self._cells, ranges[a:b])
 
         run_in_blocks(work, len(rows), work_per_row=WORK_PER_RAY * len(mounts))
         # In single precision, as in the program.

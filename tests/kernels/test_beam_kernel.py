@@ -203,6 +203,13 @@ def test_responsibilities_are_the_weighted_shares():
 
 def test_responsibilities_survive_underflow():
     assert formulas.responsibilities(7.5, 1.5, NO_RAND) == (1.0, 0.0, 0.0, 0.0)
+    # 40 sigma from the wall, where shorts as far from the sensor are as rare as hits.
+    z, z_star, view = 3.0, 7.0, NO_RAND._replace(lambda_short=267.0)
+    logs = np.array([math.log(0.8) + stats.norm.logpdf(z, z_star, 0.1), math.log(0.15 * 267.0) - 267.0 * z])
+    hit, short, *others = formulas.responsibilities(z, z_star, view)
+    assert (hit, short) == pytest.approx(special.softmax(logs), rel=1e-9)
+    assert min(hit, short) > 0.01
+    assert others == [0.0, 0.0]
 
 
 def test_vectorised_normal_distribution_function_is_exact_to_rounding():
@@ -231,6 +238,31 @@ def test_vectorised_loops_equal_the_scalar_formulas(variant):
     capped = np.where(np.isnan(flat_expected), np.nan, np.minimum(flat_expected, MAX_RANGE))
     one_by_one = [formulas.log_mixture(z, z_star, view) for z, z_star in zip(flat_ranges, capped, strict=True)]
     np.testing.assert_allclose(out, one_by_one, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("density", [1e-30, 1e-15, 1e-8, 1e12])
+@pytest.mark.parametrize("k", [1, 7, 8, 37, 200])
+def test_products_do_not_leave_the_numbers_that_there_are(density, k):
+    """Of 200 densities, each far from 0 or 1, nothing would be left."""
+    sharp = beam.BeamView(1.0, 0.0, 0.0, 0.0, 0.4 / density, 0.5, 0.0, 0.0, MAX_RANGE)
+    rare = beam.BeamView(1.0 - density * MAX_RANGE, 0.0, 0.0, density * MAX_RANGE, 0.01, 0.5, 0.0, 0.0, MAX_RANGE)
+    view, at = (sharp, 3.0) if density > 1.0 else (rare, 5.0)
+    out = np.empty(2)
+    with np.errstate(over="ignore"):
+        many_beams.fill_scan_log_likelihood(read_only(np.full(k, at)), read_only(np.full((2, k), 3.0)), view, out)
+    assert out.tolist() == pytest.approx([k * formulas.log_mixture(at, 3.0, view)] * 2, rel=1e-13)
+
+
+@pytest.mark.parametrize("k", [15, 16])
+def test_rare_readings_after_less_rare_ones_do_not_underflow_their_product(k):
+    """Eight densities of 1e-14 leave room for no seven of 1e-29."""
+    view = THETA._replace(z_rand=0.0, z_short=0.0)
+    ranges = np.where(np.arange(k) < 8, 3.8, 4.17)
+    each = [formulas.log_mixture(z, 3.0, view) for z in ranges]
+    assert sum(each) < math.log(1e-308)
+    out = np.empty(1)
+    many_beams.fill_scan_log_likelihood(read_only(ranges), read_only(np.full((1, k), 3.0)), view, out)
+    assert out[0] == pytest.approx(sum(each), rel=1e-13)
 
 
 def test_product_of_many_beams_is_the_sum_of_their_logs():

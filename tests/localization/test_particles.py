@@ -58,6 +58,10 @@ def test_the_best_cluster_is_the_heaviest_group_of_bins_that_touch(rng, turn):
         assert best.weight == pytest.approx(mass.max())
         inside = group == mass.argmax()
         assert best.pose[:2] == pytest.approx(weights[inside] @ poses[inside, :2] / mass.max())
+        off = poses[inside] - best.pose
+        off[:, 2] = wrap_angle(off[:, 2])
+        of_all = (weights[inside] * off.T) @ off / mass.max()
+        np.testing.assert_allclose(best.covariance, of_all, rtol=1e-9, atol=1e-11)
 
 
 @pytest.mark.parametrize("far", [0.0, 6e5, 5e6])

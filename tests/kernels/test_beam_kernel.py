@@ -243,7 +243,7 @@ def test_vectorised_loops_equal_the_scalar_formulas(variant):
 @pytest.mark.parametrize("density", [1e-30, 1e-15, 1e-8, 1e12])
 @pytest.mark.parametrize("k", [1, 7, 8, 37, 200])
 def test_products_do_not_leave_the_numbers_that_there_are(density, k):
-    """Of 200 densities, each far from 0 or 1, nothing would be left."""
+    """A plain product of many such densities would be 0 or infinite."""
     sharp = beam.BeamView(1.0, 0.0, 0.0, 0.0, 0.4 / density, 0.5, 0.0, 0.0, MAX_RANGE)
     rare = beam.BeamView(1.0 - density * MAX_RANGE, 0.0, 0.0, density * MAX_RANGE, 0.01, 0.5, 0.0, 0.0, MAX_RANGE)
     view, at = (sharp, 3.0) if density > 1.0 else (rare, 5.0)

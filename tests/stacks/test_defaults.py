@@ -1,9 +1,14 @@
-"""What each program takes where its file says nothing, as its own source has it: written down a second time."""
+"""What each program takes where its file says nothing, written down a second time.
+
+Compared with the sources of nav2, ROS 1's amcl, Beluga and F1TENTH's particle filter.
+"""
 
 from dataclasses import asdict
 
 import pytest
 
+from beamfield.stacks.files.filter_file import read_filter_settings
+from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.registry import STACKS
 
 NAV2 = {
@@ -58,3 +63,11 @@ def test_a_program_has_its_own_defaults(name, model, defaults):
 @pytest.mark.parametrize(("model", "defaults"), [("LF_Thrun", MRPT), ("rayTracing", MRPT_RAYS)])
 def test_mrpts_models_have_the_defaults_of_its_classes(model, defaults):
     assert asdict(STACKS["mrpt"].start(model)) == defaults
+
+
+def test_belugas_node_for_ros_1_has_the_weights_of_amcl(tmp_path):
+    path = tmp_path / "amcl.yaml"
+    path.write_text("odom_alpha1: 0.2\nselective_resampling: false\n")
+    found = asdict(read_filter_settings(read_stack_file(path, stack="beluga")).sensor)
+    names = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
+    assert {name: found[name] for name in names} == {name: ROS_1[f"laser_{name}"] for name in names}

@@ -11,7 +11,7 @@ from beamfield.kernels.mixture_table import DEGREE, PIECES, MixtureTable
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_density import read_only
 
-# A table takes as long as the formulas take longer than looking up at 5,000 poses, for any sensor and any parameters.
+# A table takes as long as the formulas take longer than looking up at 1,200 to 3,000 poses of 60 beams.
 POSES_WITH_TABLE = 10_000
 # A piece may be so far off, in nats, at the two shares of it where that is measured; elsewhere it is off a little more.
 CLOSE_ENOUGH = 2e-5

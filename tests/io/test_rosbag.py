@@ -248,6 +248,18 @@ def test_ground_truth_is_found_by_name_and_is_not_taken_for_odometry(tmp_path):
     assert any("/base_pose_ground_truth" in note for note in log.notes)
 
 
+@pytest.mark.parametrize("robots", [("",), ("/robot1", "/robot2")])
+def test_ground_truth_is_the_robots_own_though_its_last_name_is_that_of_the_odometry(robots, tmp_path):
+    bag = MiniBag()
+    for x, name in enumerate(robots, start=1):
+        bag.scan(1.0, topic=f"{name}/scan").odometry(1.0, (x, 0.0), topic=f"{name}/odom")
+        bag.odometry(1.0, (7.0 * x, 0.0), topic=f"{name}/ground_truth/odom", frame="world")
+    path = bag.write(tmp_path)
+    for x, name in enumerate(robots, start=1):
+        sensor = read_bag(path, sensor_topic=f"{name}/scan").only_sensor()
+        assert (sensor.odometry[0, 0], sensor.poses[0, 0]) == (x, 7.0 * x)
+
+
 def test_sparse_localisation_is_bridged_by_odometry(tmp_path):
     bag = drive(MiniBag(), 10.0)
     # The localiser speaks every 5 s; the correction of the odometry drifts from (0, 0) by 0.1 m each time.

@@ -233,12 +233,18 @@ def _own_pose_topics(content: BagContent, base: str) -> list[PoseTopicCollector]
     it.
     """
     filled = [topic for topic in content.pose_topics.values() if len(topic)]
-    near = [t for t in filled if all(holds(t.topic, scans.topic) for scans in content.scans)]
-    names = {_last_name(topic.topic) for topic in near}
-    ours = [t for t in filled if t in near or _last_name(t.topic) not in names]
+    near = [t for t in filled if all(holds(_publisher(t.topic), scans.topic) for scans in content.scans)]
+    names = {_last_name(_publisher(topic.topic)) for topic in near}
+    ours = [t for t in filled if t in near or _last_name(_publisher(t.topic)) not in names]
     if len(ours) < 2:
         return ours
     return [t for t in ours if not _moves_on(content, t.child, base)] or ours
+
+
+def _publisher(topic: str) -> str:
+    """Return a topic's name up to the part that says truth: /ground_truth/odom is no odometry of another robot."""
+    parts = topic.split("/")
+    return next(("/".join(parts[: i + 1]) for i, part in enumerate(parts) if says_truth(part)), topic)
 
 
 def _last_name(name: str) -> str:

@@ -260,6 +260,15 @@ def test_ground_truth_is_the_robots_own_though_its_last_name_is_that_of_the_odom
         assert (sensor.odometry[0, 0], sensor.poses[0, 0]) == (x, 7.0 * x)
 
 
+def test_odometry_on_tf_may_have_a_frame_that_is_only_named_after_it(tmp_path):
+    bag = MiniBag().scan(99.5).scan(100.0).tf("base_link", "laser", 0.0, static=True)
+    for time in (99.0, 101.0):
+        bag.tf("base_link", "odom_encoder", time).tf("odom_combined", "base_link", time, (time, 0.0, 0.0))
+    log = read_bag(bag.write(tmp_path))
+    assert np.allclose(log.only_sensor().odometry, [[99.5, 0.0, 0.0], [100.0, 0.0, 0.0]])
+    assert "odometry: /tf from 'odom_combined' to 'base_link'" in log.notes
+
+
 def test_sparse_localisation_is_bridged_by_odometry(tmp_path):
     bag = drive(MiniBag(), 10.0)
     # The localiser speaks every 5 s; the correction of the odometry drifts from (0, 0) by 0.1 m each time.

@@ -193,9 +193,12 @@ def find_odometry(content: BagContent, base: str, notes: list[str]) -> Odometry:
     topic = _odometry_topic(content, base)
     frames = content.frames
     named = frames.nearest_first(base, [f for f in frames.frames if _last_name(f) == "odom"])
-    for frame in dict.fromkeys([topic.frame if topic else "", "odom", *named]):
+    exact = dict.fromkeys([topic.frame if topic else "", "odom", *named])
+    # Frames such as odom_combined; those of parts, such as a wheel's encoder, do not move on the robot.
+    near = frames.nearest_first(base, [f for f in frames.frames if "odom" in f.lower() and f not in exact])
+    for frame in [*exact, *near]:
         stamps = frames.stamps_between(frame, base) if frame and frame != base else np.empty(0)
-        if len(stamps):
+        if len(stamps) and (frame in exact or _moves_on(content, frame, base)):
             track = Track(stamps, frames.look_up(frame, base, stamps, max_gap=MAX_GAP).planar())
             known = np.isfinite(track.poses).all(axis=1)
             notes.append(f"odometry: /tf from {frame!r} to {base!r}")

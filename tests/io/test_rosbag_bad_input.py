@@ -366,6 +366,7 @@ def test_a_sensor_that_changes_within_its_topic(change, pattern, tmp_path):
         ({"angle_min": np.inf}, "finite angle_min"),
         ({"increment": 14.3}, "full turn.*degrees"),
         ({"range_max": np.inf}, "range_max"),
+        ({"range_max": 1e4}, r"range_max <= 3000, got 0.1 and 10000; give max_range \(the furthest reading is 3 m\)"),
         ({"range_max": 0.0}, r"give max_range \(the furthest reading is 3 m\)"),
         ({"range_min": np.nan}, "range_min"),
         ({"range_min": -1.0}, "range_min"),

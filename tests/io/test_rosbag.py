@@ -269,6 +269,21 @@ def test_odometry_on_tf_may_have_a_frame_that_is_only_named_after_it(tmp_path):
     assert "odometry: /tf from 'odom_combined' to 'base_link'" in log.notes
 
 
+def test_ground_truth_in_a_frame_that_is_fixed_to_the_map_is_moved_there(tmp_path):
+    bag = MiniBag().scan(1.0).scan(2.0).tf("base_link", "laser", 0.0, static=True)
+    bag.tf("world", "map", 0.0, (1.0, 2.0, 0.0), quaternion(yaw=np.pi / 2), static=True)
+    for time in (1.0, 2.0):
+        bag.pose(time, (1.0, 5.0 + time), np.pi / 2, topic="/ground_truth/pose", frame="world", covariance=False)
+        bag.tf("world", "odom", time, (time, 0.0, 0.0)).odometry(time, (time, 0.0), topic="/ground_truth/odom")
+    path = bag.write(tmp_path)
+    log = read_bag(path, poses_topic="/ground_truth/pose")
+    assert np.allclose(log.only_sensor().poses, [[4.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    assert any(note.endswith("/ground_truth/pose in frame 'world', moved to 'map' by /tf") for note in log.notes)
+    # One whose frame moves in the map is taken as it is.
+    moving = read_bag(path, poses_topic="/ground_truth/odom")
+    assert np.allclose(moving.only_sensor().poses, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+
+
 def test_sparse_localisation_is_bridged_by_odometry(tmp_path):
     bag = drive(MiniBag(), 10.0)
     # The localiser speaks every 5 s; the correction of the odometry drifts from (0, 0) by 0.1 m each time.

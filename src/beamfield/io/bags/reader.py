@@ -69,8 +69,9 @@ def read_bag(
         The topic, or topics, of scans; all sensor_msgs/LaserScan topics if None. Of several robots in one bag, those
         of one: transforms, odometry and poses are then those of its namespace and of its frames.
     poses_topic
-        The topic of the reference poses: Odometry, PoseStamped or PoseWithCovarianceStamped, in the map's frame. If
-        None: /tf, if it has the map's frame; else a topic whose name says ground truth or amcl_pose.
+        The topic of the reference poses: Odometry, PoseStamped or PoseWithCovarianceStamped, in the map's frame or one
+        that /tf fixes to it. If None: /tf, if it has the map's frame; else a topic whose name says ground truth or
+        amcl_pose.
     map_frame
         The map's frame in /tf; ``map`` if None. Not together with `poses_topic`.
     base_frame

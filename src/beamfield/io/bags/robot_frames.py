@@ -335,13 +335,26 @@ def _reference_topic(content: BagContent, topic: PoseTopicCollector, base: str, 
     if len(topic) == 0:
         raise FormatError(content.path, "the topic holds no poses", field=topic.topic)
     track = in_base_frame(topic.track(notes), _child_from_base(content, topic, base, notes))
+    map_frame, map_from_frame = _map_from_frame(content, topic.frame)
+    track = Track(track.stamps, compose(map_from_frame, track.poses))
     odometry_at = None if odometry.track is None else odometry.at
     bridged = poses_at(track, track.stamps[:1], odometry_at)[1]
     notes.append(
         f"reference poses: topic {topic.topic} in frame {topic.frame!r}"
+        + (f", moved to {map_frame!r} by /tf" if map_frame else "")
         + (", with odometry between its poses" if bridged else "")
     )
     return lambda when: poses_at(track, when, odometry_at)[0]
+
+
+def _map_from_frame(content: BagContent, frame: str) -> tuple[str, FloatArray]:
+    """Return the map's frame, and the pose (3,) in it of another frame that is fixed to it; else "", and no motion."""
+    frames = content.frames
+    for name in (f for f in frames.frames if _last_name(f) == "map"):
+        if name != frame and frames.connected(name, frame) and not _moves_on(content, frame, name):
+            fixed = frames.look_up(name, frame, content.scans[0].stamps[:1], hold=True)
+            return name, np.asarray(fixed.planar()[0])
+    return "", np.zeros(3)
 
 
 def says_truth(topic: str) -> bool:

@@ -78,6 +78,12 @@ def test_an_mcap_renamed_to_bag(tmp_path):
     refuse(path.rename(tmp_path / "x.bag"), r"content is a \.mcap file.*'\.bag'")
 
 
+def test_a_recording_that_was_cut_off(tmp_path):
+    path = MiniBag("ros1").scan(1.0).write(tmp_path)
+    active = path.rename(f"{path}.active")
+    refuse(active, r"cut off: `rosbag reindex log\.bag\.active` .* name it log\.bag$", read=read_log)
+
+
 def test_an_old_bag_version(tmp_path):
     (tmp_path / "x.bag").write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     refuse(tmp_path / "x.bag", "version 102")

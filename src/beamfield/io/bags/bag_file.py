@@ -286,6 +286,10 @@ def _resolve(path: Path) -> list[Path]:
             start = file.read(16)
         found = f"it starts with {start!r}" if start else "it is empty"
         raise FormatError(path, f"not a ROS 1 bag, .mcap or .db3 file: {found}")
+    if path.suffix == ".active" and storage == ".bag":
+        raise FormatError(
+            path, f"a recording that was cut off: `rosbag reindex {path.name}` may mend it; then name it {path.stem}"
+        )
     if path.suffix != storage:
         raise FormatError(path, f"the content is a {storage} file, but the name ends in {path.suffix!r}")
     if storage != ".bag" and _listed_in_metadata(path):

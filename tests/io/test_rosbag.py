@@ -411,6 +411,11 @@ def test_times_of_recording_replace_stamps_that_are_all_equal_with_a_note(tmp_pa
         log = read_bag(MiniBag().scan(stamp, recorded=7.0).scan(stamp, recorded=8.0).write(tmp_path / f"{stamp:g}"))
         assert log.only_sensor().stamps.tolist() == [7.0, 8.0]
         assert any(f"stamp is {stamp:g};" in note for note in log.notes)
+    bag = MiniBag().scan(7.5).odometry(0.0, (0.0, 0.0), recorded=7.0).odometry(0.0, (1.0, 0.0), recorded=8.0)
+    log = read_bag(bag.write(tmp_path / "odometry"))
+    assert log.only_sensor().odometry.tolist() == [[0.5, 0.0, 0.0]]
+    assert any(note.startswith("/odom: every header stamp is 0; receive times") for note in log.notes)
+    assert not any("clock" in note for note in log.notes)
 
 
 def test_scans_that_swapped_places_on_the_network_are_sorted_with_a_note(tmp_path):

@@ -213,7 +213,8 @@ class LaserScanCollector:
             raise FormatError(
                 self.path, f"every range of all {len(ranges)} scans is NaN (no measurement)", field=self.topic
             )
-        stamps, order = self._ordered_stamps()
+        recorded = np.array(self._recorded)
+        stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, self._notes, recorded)
         self._notes += [f"{self.topic}: {note}" for note in gridded.notes]
         return LaserScans(
             topic=self.topic,
@@ -263,16 +264,6 @@ class LaserScanCollector:
     def _are_stamped(self) -> bool:
         return len(self._stamps) < 2 or len(set(self._stamps)) > 1
 
-    def _ordered_stamps(self) -> tuple[FloatArray, NDArray[np.intp]]:
-        stamps = np.array(self._stamps)
-        if not self._are_stamped():
-            self._notes.append(
-                f"{self.topic}: every header stamp is {stamps[0]:.10g}; receive times are used instead, but ROS drops "
-                "such scans: the driver, or the node that makes them, has to stamp them"
-            )
-            stamps = np.array(self._recorded)
-        return ordered_stamps(stamps, self.path, self.topic, self._notes)
-
     def _error(self, place: str, text: str) -> FormatError:
         return FormatError(self.path, text, field=place)
 
@@ -304,12 +295,21 @@ def is_one_of(ranges: FloatArray, values: Iterable[float]) -> NDArray[np.bool_]:
     return found
 
 
-def ordered_stamps(stamps: FloatArray, path: Path, topic: str, notes: list[str]) -> tuple[FloatArray, NDArray[np.intp]]:
+def ordered_stamps(
+    stamps: FloatArray, path: Path, topic: str, notes: list[str], recorded: FloatArray | None = None
+) -> tuple[FloatArray, NDArray[np.intp]]:
     """Return stamps (t,) sorted, and the order that sorts them.
 
-    Messages may overtake each other on the way to the recorder: that is sorted, and a note added that says so. A clock
-    that runs backwards, by more than `STAMP_TOLERANCE`, is a FormatError.
+    Times of recording (t,) replace stamps that are all equal, with a note. Messages may overtake each other on the way
+    to the recorder: that is sorted, and a note added that says so. A clock that runs backwards, by more than
+    `STAMP_TOLERANCE`, is a FormatError.
     """
+    if recorded is not None and len(stamps) > 1 and (stamps == stamps[0]).all():
+        notes.append(
+            f"{topic}: every header stamp is {stamps[0]:.10g}; receive times are used instead, but ROS drops such "
+            "messages: the driver, or the node that makes them, has to stamp them"
+        )
+        stamps = recorded
     latest = np.maximum.accumulate(stamps)
     behind = latest - stamps
     if len(stamps) and behind.max() > STAMP_TOLERANCE:

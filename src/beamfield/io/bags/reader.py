@@ -196,7 +196,7 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
         with bag.quoting(message):
             if message.topic in collectors:
                 collectors[message.topic].add(message)
-                if message.msgtype == ODOMETRY:
+                if message.msgtype == ODOMETRY and message.stamp > 0.0:
                     of_odometry.append(message.recorded - message.stamp)
             else:
                 of_tf += _add_transforms(frames, message)

@@ -84,6 +84,22 @@ def test_a_recording_that_was_cut_off(tmp_path):
     refuse(active, r"cut off: `rosbag reindex log\.bag\.active` .* name it log\.bag$", read=read_log)
 
 
+@pytest.mark.parametrize(
+    ("profile", "pattern"),
+    [(b"ros1", "ROS 1: give the .bag that it was made from$"), (b"", "profile '', not 'ros2': `ros2 bag convert`")],
+)
+def test_an_mcap_of_others_than_ros2_is_not_called_damaged(profile, pattern, tmp_path):
+    path = MiniBag("mcap").scan(1.0).write(tmp_path)
+    file = storage_file(path)
+    content = file.read_bytes()
+    header = struct.pack("<I", len(profile)) + profile
+    (length,) = struct.unpack_from("<Q", content, 9)
+    rest = length - len(header) - 4
+    header += struct.pack("<I", rest) + bytes(rest)
+    file.write_bytes(content[:17] + header + content[17 + length :])
+    refuse(path, pattern)
+
+
 def test_an_old_bag_version(tmp_path):
     (tmp_path / "x.bag").write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     refuse(tmp_path / "x.bag", "version 102")

@@ -17,7 +17,7 @@ from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
 from beamfield.io.bags.unpacking import Allowance, check_storage, limit_chunks, unpack_file, unpack_message
 from beamfield.io.files.atomic import scratch_folder
-from beamfield.io.files.bag_storage import is_packed_storage, repair_of, storage_of
+from beamfield.io.files.bag_storage import is_packed_storage, mcap_profile, repair_of, storage_of
 from beamfield.io.files.yaml_file import read_yaml
 
 if TYPE_CHECKING:
@@ -240,8 +240,20 @@ def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes]
         if is_packed:
             unpack_file(file, plain)
         check_storage(plain, file)
+        _check_profile(plain, file)
         opened.append(plain)
     return opened, partial(unpack_message, allowance=allowance)
+
+
+def _check_profile(path: Path, unpacked_from: Path) -> None:
+    """Refuse an MCAP file whose messages may not be those of ROS 2, which is not damaged."""
+    profile = mcap_profile(path)
+    if profile == "ros1":
+        raise FormatError(unpacked_from, "an MCAP file with messages of ROS 1: give the .bag that it was made from")
+    if profile not in (None, "ros2"):
+        raise FormatError(
+            unpacked_from, f"an MCAP file of profile {profile!r}, not 'ros2': `ros2 bag convert` writes it anew"
+        )
 
 
 def _files_of_metadata(folder: Path) -> tuple[list[Path], bool]:

@@ -451,6 +451,11 @@ def ordinary_ranges(rng, n=100, k=20, low=0.5, high=6.0):
     return rng.uniform(low, high, (n, k)).astype(np.float32)
 
 
+def test_declared_limits_may_change_if_others_are_given(tmp_path):
+    path = MiniBag().scan(1.0, range_max=0.0).scan(2.0).write(tmp_path)
+    assert read_bag(path, max_range=2.5).only_sensor().finder.max_range == 2.5
+
+
 def test_rep117_needs_no_conversion(tmp_path):
     sensor = scans_of(tmp_path, [[np.inf, np.nan, -np.inf, 10.0, 0.05, 2.0]])
     assert np.array_equal(

@@ -373,8 +373,8 @@ def test_scans_of_nothing_but_nan(tmp_path):
         ({"angle_min": 0.5}, "message 2: angle_min 0.5.*no beam where most scans .* two sensors"),
         ({"angle_min": np.nan}, "message 2: expected a finite angle_min"),
         ({"increment": 14.3}, "message 2: .*full turn.*degrees"),
-        ({"range_max": 20.0}, "message 2: range_min, range_max"),
-        ({"frame": "other"}, "message 2: frame_id 'other'"),
+        ({"range_max": 20.0}, "message 2: range_max 20 m differs .* first scan, 10 m; give max_range$"),
+        ({"frame": "other"}, "message 2: frame_id 'other' .*: cut the bag there"),
     ],
 )
 def test_a_sensor_that_changes_within_its_topic(change, pattern, tmp_path):

@@ -150,6 +150,8 @@ class LaserScans:
 class LaserScanCollector:
     """Collects the messages of one topic and checks that they belong together; path and topic are for errors.
 
+    Declared limits may change if others are `given`, least and greatest range.
+
     The direction of beam i is ``angle_min + i angle_increment``, computed in float64 from the float32 fields, whose
     rounding leaves it less than 1e-6 radians off. The increment may be negative. The number of beams and their
     directions may change from scan to scan, as those of lidars do whose motor runs freely; see `on_one_grid`.
@@ -157,6 +159,7 @@ class LaserScanCollector:
 
     path: Path
     topic: str
+    given: tuple[float | None, float | None] = (None, None)
     _geometries: list[ScanGeometry] = field(default_factory=list)
     _limits: tuple[float, float] = (0.0, 0.0)
     _frame: str = ""
@@ -244,13 +247,17 @@ class LaserScanCollector:
     def _compare(self, message: BagMessage) -> None:
         scan = message.content
         limits = (float(scan.range_min), float(scan.range_max))
-        if not np.array_equal(limits, self._limits, equal_nan=True):
-            raise self._error(
-                message.place, f"range_min, range_max {limits} differ from those of the first scan, {self._limits}"
-            )
+        for option, now, first, given in zip(("min_range", "max_range"), limits, self._limits, self.given, strict=True):
+            if given is None and not np.array_equal(now, first, equal_nan=True):
+                raise self._error(
+                    message.place,
+                    f"range_{option[:3]} {now:.6g} m differs from that of the first scan, {first:.6g} m; give {option}",
+                )
         if scan.header.frame_id != self._frame:
             raise self._error(
-                message.place, f"frame_id {scan.header.frame_id!r} differs from that of the first scan, {self._frame!r}"
+                message.place,
+                f"frame_id {scan.header.frame_id!r} differs from that of the first scan, {self._frame!r}: cut the bag "
+                "there, or have two sensors publish on two topics",
             )
 
     def _looks_elsewhere(self, scan: int) -> FormatError:

@@ -116,7 +116,7 @@ class MiniBag:
 
     def odometry(self, stamp: float, xy: tuple[float, float], yaw: float = 0.0, *, topic: str = "/odom",
                  frame: str = "odom", child: str = "base_link",
-                 q: tuple[float, ...] | None = None) -> MiniBag:  # fmt: skip
+                 q: tuple[float, ...] | None = None, recorded: float | None = None) -> MiniBag:  # fmt: skip
         zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
         twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
         message = self.make(
@@ -126,7 +126,7 @@ class MiniBag:
             pose=self._with_covariance(xy, quaternion(yaw=yaw) if q is None else q),
             twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
         )
-        return self.add(topic, ODOMETRY, message, stamp)
+        return self.add(topic, ODOMETRY, message, stamp if recorded is None else recorded)
 
     def pose(self, stamp: float, xy: tuple[float, float], yaw: float = 0.0, *, topic: str = "/amcl_pose",
              frame: str = "map", covariance: bool = True) -> MiniBag:  # fmt: skip

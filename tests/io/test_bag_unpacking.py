@@ -18,6 +18,7 @@ from beamfield.io.bags import unpacking as bag_unpacking
 from beamfield.io.bags.bag_file import BagFile
 from beamfield.io.bags.reader import read_bag, read_bag_map
 from beamfield.io.bags.unpacking import max_unpacked, unpacked_bound
+from beamfield.io.read_log import read_log
 from tests.io.mini_bag import MiniBag
 
 zstd = bag_unpacking._zstd()
@@ -60,6 +61,20 @@ def test_compressed_bags_are_read_as_others(storage, compression, tmp_path):
     found = read_bag(bag.write(tmp_path, "packed", compression=compression), mount=(0, 0, 0)).only_sensor()
     np.testing.assert_array_equal(found.ranges, expected.ranges)
     np.testing.assert_array_equal(found.stamps, expected.stamps)
+
+
+@pytest.mark.parametrize(("storage", "compression"), [(s, c) for s, c in KINDS if s != "ros1"])
+def test_compressed_bags_are_read_without_their_metadata(storage, compression, tmp_path):
+    path = MiniBag(storage).scan(1.0).scan(2.0).write(tmp_path, "log", compression=compression)
+    (path / "metadata.yaml").unlink()
+    (file,) = path.iterdir()
+    assert len(read_log(path).only_sensor()) == 2
+    if file.suffix == ".zstd":
+        with zstd.open(file, "rb") as packed:
+            file = file.with_suffix("")
+            file.write_bytes(packed.read())  # unzstd leaves both
+    assert len(read_log(path).only_sensor()) == 2
+    assert len(read_log(file).only_sensor()) == 2
 
 
 @pytest.mark.usefixtures("low_limits")

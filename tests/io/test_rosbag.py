@@ -248,6 +248,42 @@ def test_ground_truth_is_found_by_name_and_is_not_taken_for_odometry(tmp_path):
     assert any("/base_pose_ground_truth" in note for note in log.notes)
 
 
+@pytest.mark.parametrize("robots", [("",), ("/robot1", "/robot2")])
+def test_ground_truth_is_the_robots_own_though_its_last_name_is_that_of_the_odometry(robots, tmp_path):
+    bag = MiniBag()
+    for x, name in enumerate(robots, start=1):
+        bag.scan(1.0, topic=f"{name}/scan").odometry(1.0, (x, 0.0), topic=f"{name}/odom")
+        bag.odometry(1.0, (7.0 * x, 0.0), topic=f"{name}/ground_truth/odom", frame="world")
+    path = bag.write(tmp_path)
+    for x, name in enumerate(robots, start=1):
+        sensor = read_bag(path, sensor_topic=f"{name}/scan").only_sensor()
+        assert (sensor.odometry[0, 0], sensor.poses[0, 0]) == (x, 7.0 * x)
+
+
+def test_odometry_on_tf_may_have_a_frame_that_is_only_named_after_it(tmp_path):
+    bag = MiniBag().scan(99.5).scan(100.0).tf("base_link", "laser", 0.0, static=True)
+    for time in (99.0, 101.0):
+        bag.tf("base_link", "odom_encoder", time).tf("odom_combined", "base_link", time, (time, 0.0, 0.0))
+    log = read_bag(bag.write(tmp_path))
+    assert np.allclose(log.only_sensor().odometry, [[99.5, 0.0, 0.0], [100.0, 0.0, 0.0]])
+    assert "odometry: /tf from 'odom_combined' to 'base_link'" in log.notes
+
+
+def test_ground_truth_in_a_frame_that_is_fixed_to_the_map_is_moved_there(tmp_path):
+    bag = MiniBag().scan(1.0).scan(2.0).tf("base_link", "laser", 0.0, static=True)
+    bag.tf("world", "map", 0.0, (1.0, 2.0, 0.0), quaternion(yaw=np.pi / 2), static=True)
+    for time in (1.0, 2.0):
+        bag.pose(time, (1.0, 5.0 + time), np.pi / 2, topic="/ground_truth/pose", frame="world", covariance=False)
+        bag.tf("world", "odom", time, (time, 0.0, 0.0)).odometry(time, (time, 0.0), topic="/ground_truth/odom")
+    path = bag.write(tmp_path)
+    log = read_bag(path, poses_topic="/ground_truth/pose")
+    assert np.allclose(log.only_sensor().poses, [[4.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    assert any(note.endswith("/ground_truth/pose in frame 'world', moved to 'map' by /tf") for note in log.notes)
+    # One whose frame moves in the map is taken as it is.
+    moving = read_bag(path, poses_topic="/ground_truth/odom")
+    assert np.allclose(moving.only_sensor().poses, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+
+
 def test_sparse_localisation_is_bridged_by_odometry(tmp_path):
     bag = drive(MiniBag(), 10.0)
     # The localiser speaks every 5 s; the correction of the odometry drifts from (0, 0) by 0.1 m each time.
@@ -375,6 +411,11 @@ def test_times_of_recording_replace_stamps_that_are_all_equal_with_a_note(tmp_pa
         log = read_bag(MiniBag().scan(stamp, recorded=7.0).scan(stamp, recorded=8.0).write(tmp_path / f"{stamp:g}"))
         assert log.only_sensor().stamps.tolist() == [7.0, 8.0]
         assert any(f"stamp is {stamp:g};" in note for note in log.notes)
+    bag = MiniBag().scan(7.5).odometry(0.0, (0.0, 0.0), recorded=7.0).odometry(0.0, (1.0, 0.0), recorded=8.0)
+    log = read_bag(bag.write(tmp_path / "odometry"))
+    assert log.only_sensor().odometry.tolist() == [[0.5, 0.0, 0.0]]
+    assert any(note.startswith("/odom: every header stamp is 0; receive times") for note in log.notes)
+    assert not any("clock" in note for note in log.notes)
 
 
 def test_scans_that_swapped_places_on_the_network_are_sorted_with_a_note(tmp_path):
@@ -408,6 +449,11 @@ def scans_of(tmp_path, ranges, **options):
 
 def ordinary_ranges(rng, n=100, k=20, low=0.5, high=6.0):
     return rng.uniform(low, high, (n, k)).astype(np.float32)
+
+
+def test_declared_limits_may_change_if_others_are_given(tmp_path):
+    path = MiniBag().scan(1.0, range_max=0.0).scan(2.0).write(tmp_path)
+    assert read_bag(path, max_range=2.5).only_sensor().finder.max_range == 2.5
 
 
 def test_rep117_needs_no_conversion(tmp_path):

@@ -78,6 +78,28 @@ def test_an_mcap_renamed_to_bag(tmp_path):
     refuse(path.rename(tmp_path / "x.bag"), r"content is a \.mcap file.*'\.bag'")
 
 
+def test_a_recording_that_was_cut_off(tmp_path):
+    path = MiniBag("ros1").scan(1.0).write(tmp_path)
+    active = path.rename(f"{path}.active")
+    refuse(active, r"cut off: `rosbag reindex log\.bag\.active` .* name it log\.bag$", read=read_log)
+
+
+@pytest.mark.parametrize(
+    ("profile", "pattern"),
+    [(b"ros1", "ROS 1: give the .bag that it was made from$"), (b"", "profile '', not 'ros2': `ros2 bag convert`")],
+)
+def test_an_mcap_of_others_than_ros2_is_not_called_damaged(profile, pattern, tmp_path):
+    path = MiniBag("mcap").scan(1.0).write(tmp_path)
+    file = storage_file(path)
+    content = file.read_bytes()
+    header = struct.pack("<I", len(profile)) + profile
+    (length,) = struct.unpack_from("<Q", content, 9)
+    rest = length - len(header) - 4
+    header += struct.pack("<I", rest) + bytes(rest)
+    file.write_bytes(content[:17] + header + content[17 + length :])
+    refuse(path, pattern)
+
+
 def test_an_old_bag_version(tmp_path):
     (tmp_path / "x.bag").write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     refuse(tmp_path / "x.bag", "version 102")
@@ -351,8 +373,8 @@ def test_scans_of_nothing_but_nan(tmp_path):
         ({"angle_min": 0.5}, "message 2: angle_min 0.5.*no beam where most scans .* two sensors"),
         ({"angle_min": np.nan}, "message 2: expected a finite angle_min"),
         ({"increment": 14.3}, "message 2: .*full turn.*degrees"),
-        ({"range_max": 20.0}, "message 2: range_min, range_max"),
-        ({"frame": "other"}, "message 2: frame_id 'other'"),
+        ({"range_max": 20.0}, "message 2: range_max 20 m differs .* first scan, 10 m; give max_range$"),
+        ({"frame": "other"}, "message 2: frame_id 'other' .*: cut the bag there"),
     ],
 )
 def test_a_sensor_that_changes_within_its_topic(change, pattern, tmp_path):
@@ -366,6 +388,7 @@ def test_a_sensor_that_changes_within_its_topic(change, pattern, tmp_path):
         ({"angle_min": np.inf}, "finite angle_min"),
         ({"increment": 14.3}, "full turn.*degrees"),
         ({"range_max": np.inf}, "range_max"),
+        ({"range_max": 1e4}, r"range_max <= 3000, got 0.1 and 10000; give max_range \(the furthest reading is 3 m\)"),
         ({"range_max": 0.0}, r"give max_range \(the furthest reading is 3 m\)"),
         ({"range_min": np.nan}, "range_min"),
         ({"range_min": -1.0}, "range_min"),

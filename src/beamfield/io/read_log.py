@@ -159,8 +159,12 @@ def _adjusted(log: ScanLog, mask: Sequence[tuple[float, float]], opening_angle: 
 
 def _is_bag(path: Path) -> bool:
     if path.is_dir():
-        return any(file.name == "metadata.yaml" or file.suffix in BAG_SUFFIXES for file in path.iterdir())
-    return path.suffix in BAG_SUFFIXES or is_packed_storage(path) or storage_of(path) is not None
+        return any(file.name == "metadata.yaml" or _is_named_as_bag(file) for file in path.iterdir())
+    return _is_named_as_bag(path) or storage_of(path) is not None
+
+
+def _is_named_as_bag(path: Path) -> bool:
+    return path.suffix in BAG_SUFFIXES or is_packed_storage(path)
 
 
 def _only(log: ScanLog, asked: tuple[str, ...]) -> ScanLog:

@@ -17,7 +17,7 @@ from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
 from beamfield.io.bags.unpacking import Allowance, check_storage, limit_chunks, unpack_file, unpack_message
 from beamfield.io.files.atomic import scratch_folder
-from beamfield.io.files.bag_storage import is_packed_storage, repair_of, storage_of
+from beamfield.io.files.bag_storage import is_packed_storage, mcap_profile, repair_of, storage_of
 from beamfield.io.files.yaml_file import read_yaml
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 METADATA = "metadata.yaml"
 MAX_METADATA_BYTES = 2**20  # a thousand topics need less
 REINDEX = "`ros2 bag reindex` writes the metadata anew"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no message begins so: the first byte of CDR is 0
 
 
 @contextmanager
@@ -89,7 +90,7 @@ class BagFile:
         self.path = Path(path)
         self._stack = ExitStack()
         self.n_files = 0
-        self._unpack: Callable[[bytes], bytes] | None = None  # for messages that are compressed one by one
+        self._unpack: Callable[[bytes], bytes]  # for messages that are compressed one by one
 
     @_without_yaml_warnings()
     def __enter__(self) -> BagFile:
@@ -198,7 +199,7 @@ class BagFile:
                     raise FormatError(
                         self.path, f"expected the receive time in nanoseconds, got {recorded!r}", field=place
                     )
-                if self._unpack is not None:
+                if self._reader.is2 and bytes(raw[:4]) == ZSTD_MAGIC:
                     raw = self._unpack(raw)
                 content = self._reader.deserialize(raw, connection.msgtype)
             yield BagMessage(connection.topic, connection.msgtype, number, recorded * 1e-9, content)
@@ -222,29 +223,41 @@ def seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
-def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes], bytes] | None]:
+def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes], bytes]]:
     """Return what rosbags shall open, checked, and what unpacks messages that are compressed one by one."""
     files = _resolve(path)
-    mode = ""
+    packed = [is_packed_storage(file) for file in files]
     if files[0].is_dir():
         # Readers of folders would take the time to read all of the metadata, which storage files hold as well.
-        files, mode = _files_of_metadata(files[0])
-    if mode == "file":
-        # rosbags would do it without a limit.
-        scratch = stack.enter_context(scratch_folder(Path(tempfile.gettempdir()), path.name))
-        for file in files:
-            unpack_file(file, scratch / file.stem)
-            check_storage(scratch / file.stem, file)
-        return [scratch / file.stem for file in files], None
-    for file in files:
-        check_storage(file)
-    if mode == "message":
-        return files, partial(unpack_message, allowance=Allowance(path, sum(file.stat().st_size for file in files)))
-    return files, None
+        files, all_packed = _files_of_metadata(files[0])
+        packed = [all_packed] * len(files)
+    allowance = Allowance(path, sum(file.stat().st_size for file in files))
+    # rosbags would unpack them without a limit.
+    scratch = stack.enter_context(scratch_folder(Path(tempfile.gettempdir()), path.name)) if any(packed) else path
+    opened = []
+    for file, is_packed in zip(files, packed, strict=True):
+        plain = scratch / file.stem if is_packed else file
+        if is_packed:
+            unpack_file(file, plain)
+        check_storage(plain, file)
+        _check_profile(plain, file)
+        opened.append(plain)
+    return opened, partial(unpack_message, allowance=allowance)
 
 
-def _files_of_metadata(folder: Path) -> tuple[list[Path], str]:
-    """Return the storage files of a bag, and how they are compressed: "", "file" or "message"."""
+def _check_profile(path: Path, unpacked_from: Path) -> None:
+    """Refuse an MCAP file whose messages may not be those of ROS 2, which is not damaged."""
+    profile = mcap_profile(path)
+    if profile == "ros1":
+        raise FormatError(unpacked_from, "an MCAP file with messages of ROS 1: give the .bag that it was made from")
+    if profile not in (None, "ros2"):
+        raise FormatError(
+            unpacked_from, f"an MCAP file of profile {profile!r}, not 'ros2': `ros2 bag convert` writes it anew"
+        )
+
+
+def _files_of_metadata(folder: Path) -> tuple[list[Path], bool]:
+    """Return the storage files of a bag, and whether each of them is compressed as a whole."""
     try:
         metadata = read_yaml(folder / METADATA, max_bytes=MAX_METADATA_BYTES, number_keys=True)
         bag = metadata.value("rosbag2_bagfile_information")
@@ -257,11 +270,9 @@ def _files_of_metadata(folder: Path) -> tuple[list[Path], str]:
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise FormatError(folder, f"some files are missing: {missing}; without them, {REINDEX}")
-    if mode not in ("file", "message"):
-        return files, ""
-    if bag.get("compression_format") != "zstd":
+    if mode in ("file", "message") and bag.get("compression_format") != "zstd":
         raise FormatError(folder / METADATA, f"expected zstd compression, got {bag.get('compression_format')!r}")
-    return files, mode
+    return files, mode == "file"
 
 
 def _reader(paths: list[Path]) -> AnyReader:
@@ -287,6 +298,10 @@ def _resolve(path: Path) -> list[Path]:
             start = file.read(16)
         found = f"it starts with {start!r}" if start else "it is empty"
         raise FormatError(path, f"not a ROS 1 bag, .mcap or .db3 file: {found}")
+    if path.suffix == ".active" and storage == ".bag":
+        raise FormatError(
+            path, f"a recording that was cut off: `rosbag reindex {path.name}` may mend it; then name it {path.stem}"
+        )
     if path.suffix != storage:
         raise FormatError(path, f"the content is a {storage} file, but the name ends in {path.suffix!r}")
     if storage != ".bag" and _listed_in_metadata(path):
@@ -295,7 +310,13 @@ def _resolve(path: Path) -> list[Path]:
 
 
 def _without_metadata(folder: Path) -> list[Path]:
-    files = sorted(p for p in folder.iterdir() if p.suffix in (".db3", ".mcap") and p.is_file())
+    """Return the storage files of a folder, also those that are compressed, unless they lie there unpacked as well."""
+    plain = {file: file.with_suffix("") if is_packed_storage(file) else file for file in sorted(folder.iterdir())}
+    files = [
+        file
+        for file, storage in plain.items()
+        if storage.suffix in (".db3", ".mcap") and file.is_file() and (file == storage or storage not in plain)
+    ]
     if not files:
         raise FormatError(
             folder, f"not a ROS 2 bag: no {METADATA}, .db3 or .mcap file in the folder; name a file in it"

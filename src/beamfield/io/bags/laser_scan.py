@@ -150,6 +150,8 @@ class LaserScans:
 class LaserScanCollector:
     """Collects the messages of one topic and checks that they belong together; path and topic are for errors.
 
+    Declared limits may change if others are `given`, least and greatest range.
+
     The direction of beam i is ``angle_min + i angle_increment``, computed in float64 from the float32 fields, whose
     rounding leaves it less than 1e-6 radians off. The increment may be negative. The number of beams and their
     directions may change from scan to scan, as those of lidars do whose motor runs freely; see `on_one_grid`.
@@ -157,6 +159,7 @@ class LaserScanCollector:
 
     path: Path
     topic: str
+    given: tuple[float | None, float | None] = (None, None)
     _geometries: list[ScanGeometry] = field(default_factory=list)
     _limits: tuple[float, float] = (0.0, 0.0)
     _frame: str = ""
@@ -213,7 +216,8 @@ class LaserScanCollector:
             raise FormatError(
                 self.path, f"every range of all {len(ranges)} scans is NaN (no measurement)", field=self.topic
             )
-        stamps, order = self._ordered_stamps()
+        recorded = np.array(self._recorded)
+        stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, self._notes, recorded)
         self._notes += [f"{self.topic}: {note}" for note in gridded.notes]
         return LaserScans(
             topic=self.topic,
@@ -243,13 +247,17 @@ class LaserScanCollector:
     def _compare(self, message: BagMessage) -> None:
         scan = message.content
         limits = (float(scan.range_min), float(scan.range_max))
-        if not np.array_equal(limits, self._limits, equal_nan=True):
-            raise self._error(
-                message.place, f"range_min, range_max {limits} differ from those of the first scan, {self._limits}"
-            )
+        for option, now, first, given in zip(("min_range", "max_range"), limits, self._limits, self.given, strict=True):
+            if given is None and not np.array_equal(now, first, equal_nan=True):
+                raise self._error(
+                    message.place,
+                    f"range_{option[:3]} {now:.6g} m differs from that of the first scan, {first:.6g} m; give {option}",
+                )
         if scan.header.frame_id != self._frame:
             raise self._error(
-                message.place, f"frame_id {scan.header.frame_id!r} differs from that of the first scan, {self._frame!r}"
+                message.place,
+                f"frame_id {scan.header.frame_id!r} differs from that of the first scan, {self._frame!r}: cut the bag "
+                "there, or have two sensors publish on two topics",
             )
 
     def _looks_elsewhere(self, scan: int) -> FormatError:
@@ -262,16 +270,6 @@ class LaserScanCollector:
 
     def _are_stamped(self) -> bool:
         return len(self._stamps) < 2 or len(set(self._stamps)) > 1
-
-    def _ordered_stamps(self) -> tuple[FloatArray, NDArray[np.intp]]:
-        stamps = np.array(self._stamps)
-        if not self._are_stamped():
-            self._notes.append(
-                f"{self.topic}: every header stamp is {stamps[0]:.10g}; receive times are used instead, but ROS drops "
-                "such scans: the driver, or the node that makes them, has to stamp them"
-            )
-            stamps = np.array(self._recorded)
-        return ordered_stamps(stamps, self.path, self.topic, self._notes)
 
     def _error(self, place: str, text: str) -> FormatError:
         return FormatError(self.path, text, field=place)
@@ -304,12 +302,21 @@ def is_one_of(ranges: FloatArray, values: Iterable[float]) -> NDArray[np.bool_]:
     return found
 
 
-def ordered_stamps(stamps: FloatArray, path: Path, topic: str, notes: list[str]) -> tuple[FloatArray, NDArray[np.intp]]:
+def ordered_stamps(
+    stamps: FloatArray, path: Path, topic: str, notes: list[str], recorded: FloatArray | None = None
+) -> tuple[FloatArray, NDArray[np.intp]]:
     """Return stamps (t,) sorted, and the order that sorts them.
 
-    Messages may overtake each other on the way to the recorder: that is sorted, and a note added that says so. A clock
-    that runs backwards, by more than `STAMP_TOLERANCE`, is a FormatError.
+    Times of recording (t,) replace stamps that are all equal, with a note. Messages may overtake each other on the way
+    to the recorder: that is sorted, and a note added that says so. A clock that runs backwards, by more than
+    `STAMP_TOLERANCE`, is a FormatError.
     """
+    if recorded is not None and len(stamps) > 1 and (stamps == stamps[0]).all():
+        notes.append(
+            f"{topic}: every header stamp is {stamps[0]:.10g}; receive times are used instead, but ROS drops such "
+            "messages: the driver, or the node that makes them, has to stamp them"
+        )
+        stamps = recorded
     latest = np.maximum.accumulate(stamps)
     behind = latest - stamps
     if len(stamps) and behind.max() > STAMP_TOLERANCE:

@@ -38,6 +38,7 @@ class PoseTopicCollector:
     child: str = ""
     is_odometry: bool = False
     _stamps: list[float] = field(default_factory=list)
+    _recorded: list[float] = field(default_factory=list)
     _rows: list[tuple[float, ...]] = field(default_factory=list)
 
     def add(self, message: BagMessage) -> None:
@@ -50,6 +51,7 @@ class PoseTopicCollector:
         pose = content.pose if message.msgtype == POSE_STAMPED else content.pose.pose
         p, q = pose.position, pose.orientation
         self._stamps.append(message.stamp)
+        self._recorded.append(message.recorded)
         self._rows.append(tuple(map(float, (p.x, p.y, p.z, q.x, q.y, q.z, q.w))))
 
     def __len__(self) -> int:
@@ -65,7 +67,9 @@ class PoseTopicCollector:
         self._check(rows)
         rotation = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
         poses = Transforms(rows[:, :3], rotation).planar()
-        stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, notes)
+        # The one pose of a localizer that stands may be published again and again.
+        recorded = np.array(self._recorded) if self.is_odometry else None
+        stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, notes, recorded)
         last = np.append(np.diff(stamps) > 0, True) if len(stamps) else np.zeros(0, dtype=bool)
         return Track(stamps[last], poses[order][last])
 

@@ -69,8 +69,9 @@ def read_bag(
         The topic, or topics, of scans; all sensor_msgs/LaserScan topics if None. Of several robots in one bag, those
         of one: transforms, odometry and poses are then those of its namespace and of its frames.
     poses_topic
-        The topic of the reference poses: Odometry, PoseStamped or PoseWithCovarianceStamped, in the map's frame. If
-        None: /tf, if it has the map's frame; else a topic whose name says ground truth or amcl_pose.
+        The topic of the reference poses: Odometry, PoseStamped or PoseWithCovarianceStamped, in the map's frame or one
+        that /tf fixes to it. If None: /tf, if it has the map's frame; else a topic whose name says ground truth or
+        amcl_pose.
     map_frame
         The map's frame in /tf; ``map`` if None. Not together with `poses_topic`.
     base_frame
@@ -115,7 +116,7 @@ def read_bag(
         raise InvalidInputError("expected poses_topic or map_frame for the reference poses, got both")
     with BagFile(path) as bag:
         poses_topic = None if poses_topic is None else bag.find_topic(poses_topic, *POSE_TYPES)
-        content = _collect(bag, _scan_topics(bag, sensor_topic), poses_topic)
+        content = _collect(bag, _scan_topics(bag, sensor_topic), poses_topic, (min_range, max_range))
     if mount is not None and len(content.scans) > 1:
         raise InvalidInputError(f"{path}: one mount was given, but the bag has {len(content.scans)} sensors")
     notes = list(content.notes)
@@ -178,10 +179,11 @@ def _how_to_make_scans(bag: BagFile) -> list[str]:
     ]
 
 
-def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> BagContent:
+def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None,
+             limits: tuple[float | None, float | None]) -> BagContent:  # fmt: skip
     """Walk through the bag once and keep what scans need."""
     rangers = {t: p for t, p in ranger_topics(bag.topics).items() if t in scan_topics}
-    lasers = {t: LaserScanCollector(bag.path, t) for t in scan_topics if t not in rangers}
+    lasers = {t: LaserScanCollector(bag.path, t, limits) for t in scan_topics if t not in rangers}
     raw = {t: RawDataCollector(bag.path, t, 9) for t in rangers}
     raw |= {p: RawDataCollector(bag.path, p, 2) for p in rangers.values() if p}
     pose_topics = {t: PoseTopicCollector(bag.path, t) for t in _pose_topics(bag, poses_topic)}
@@ -195,7 +197,7 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
         with bag.quoting(message):
             if message.topic in collectors:
                 collectors[message.topic].add(message)
-                if message.msgtype == ODOMETRY:
+                if message.msgtype == ODOMETRY and message.stamp > 0.0:
                     of_odometry.append(message.recorded - message.stamp)
             else:
                 of_tf += _add_transforms(frames, message)

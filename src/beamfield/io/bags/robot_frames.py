@@ -193,9 +193,12 @@ def find_odometry(content: BagContent, base: str, notes: list[str]) -> Odometry:
     topic = _odometry_topic(content, base)
     frames = content.frames
     named = frames.nearest_first(base, [f for f in frames.frames if _last_name(f) == "odom"])
-    for frame in dict.fromkeys([topic.frame if topic else "", "odom", *named]):
+    exact = dict.fromkeys([topic.frame if topic else "", "odom", *named])
+    # Frames such as odom_combined; those of parts, such as a wheel's encoder, do not move on the robot.
+    near = frames.nearest_first(base, [f for f in frames.frames if "odom" in f.lower() and f not in exact])
+    for frame in [*exact, *near]:
         stamps = frames.stamps_between(frame, base) if frame and frame != base else np.empty(0)
-        if len(stamps):
+        if len(stamps) and (frame in exact or _moves_on(content, frame, base)):
             track = Track(stamps, frames.look_up(frame, base, stamps, max_gap=MAX_GAP).planar())
             known = np.isfinite(track.poses).all(axis=1)
             notes.append(f"odometry: /tf from {frame!r} to {base!r}")
@@ -233,12 +236,18 @@ def _own_pose_topics(content: BagContent, base: str) -> list[PoseTopicCollector]
     it.
     """
     filled = [topic for topic in content.pose_topics.values() if len(topic)]
-    near = [t for t in filled if all(holds(t.topic, scans.topic) for scans in content.scans)]
-    names = {_last_name(topic.topic) for topic in near}
-    ours = [t for t in filled if t in near or _last_name(t.topic) not in names]
+    near = [t for t in filled if all(holds(_publisher(t.topic), scans.topic) for scans in content.scans)]
+    names = {_last_name(_publisher(topic.topic)) for topic in near}
+    ours = [t for t in filled if t in near or _last_name(_publisher(t.topic)) not in names]
     if len(ours) < 2:
         return ours
     return [t for t in ours if not _moves_on(content, t.child, base)] or ours
+
+
+def _publisher(topic: str) -> str:
+    """Return a topic's name up to the part that says truth: /ground_truth/odom is no odometry of another robot."""
+    parts = topic.split("/")
+    return next(("/".join(parts[: i + 1]) for i, part in enumerate(parts) if says_truth(part)), topic)
 
 
 def _last_name(name: str) -> str:
@@ -326,13 +335,26 @@ def _reference_topic(content: BagContent, topic: PoseTopicCollector, base: str, 
     if len(topic) == 0:
         raise FormatError(content.path, "the topic holds no poses", field=topic.topic)
     track = in_base_frame(topic.track(notes), _child_from_base(content, topic, base, notes))
+    map_frame, map_from_frame = _map_from_frame(content, topic.frame)
+    track = Track(track.stamps, compose(map_from_frame, track.poses))
     odometry_at = None if odometry.track is None else odometry.at
     bridged = poses_at(track, track.stamps[:1], odometry_at)[1]
     notes.append(
         f"reference poses: topic {topic.topic} in frame {topic.frame!r}"
+        + (f", moved to {map_frame!r} by /tf" if map_frame else "")
         + (", with odometry between its poses" if bridged else "")
     )
     return lambda when: poses_at(track, when, odometry_at)[0]
+
+
+def _map_from_frame(content: BagContent, frame: str) -> tuple[str, FloatArray]:
+    """Return the map's frame, and the pose (3,) in it of another frame that is fixed to it; else "", and no motion."""
+    frames = content.frames
+    for name in (f for f in frames.frames if _last_name(f) == "map"):
+        if name != frame and frames.connected(name, frame) and not _moves_on(content, frame, name):
+            fixed = frames.look_up(name, frame, content.scans[0].stamps[:1], hold=True)
+            return name, np.asarray(fixed.planar()[0])
+    return "", np.zeros(3)
 
 
 def says_truth(topic: str) -> bool:

@@ -22,6 +22,17 @@ def storage_of(path: Path) -> str | None:
     return next((suffix for suffix, magic in _MAGIC.items() if start.startswith(magic)), None)
 
 
+def mcap_profile(path: Path) -> str | None:
+    """Return whose messages an MCAP file says that it holds; None of other files, and damaged ones."""
+    magic = _MAGIC[".mcap"] + b"\x01"  # the header is the first record
+    with path.open("rb") as file:
+        start = file.read(100)
+    at = len(magic) + 8 + 4
+    length = int.from_bytes(start[at - 4 : at], "little")
+    name = start[at : at + length]
+    return name.decode() if start.startswith(magic) and len(name) == length and name.isascii() else None
+
+
 def is_packed_storage(path: Path) -> bool:
     """Return whether a file is, by its name, the compressed storage file of a ROS 2 bag."""
     return path.suffix == ".zstd" and Path(path.stem).suffix in BAG_SUFFIXES

@@ -16,6 +16,7 @@ from beamfield.stacks.doctor.examine import CHECKS, examine
 from beamfield.stacks.doctor.subject import MapFile
 from beamfield.stacks.files.calibration_record import record_text, with_record
 from beamfield.stacks.files.parameter_file import read_stack_file
+from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from tests.calibration.test_odometry import amcl_log
 from tests.pillar_hall import drive, hall
@@ -135,7 +136,7 @@ AGAIN = WITHOUT.replace("  </node>", '    <param name="laser_z_hit" value="0.9"/
 
 RECORDED = with_record(
     "amcl:\n  ros__parameters:\n    sigma_hit: 0.6\n",
-    record_text("nav2", "likelihood_field", Nav2Parameters(sigma_hit=0.6), "1.0", "well"), "yaml",
+    record_text("nav2", "likelihood_field", Nav2Parameters(sigma_hit=0.6), Nav2Motion(), "1.0", "well"), "yaml",
 )  # fmt: skip
 
 
@@ -606,9 +607,10 @@ def test_calibrated_values_are_not_advised_to_be_calibrated(tmp_path):
     names = {item.name for item in examine(amcl(tmp_path, text=RECORDED))}
     assert names & {"sigma-huge", "nearly-flat"} == set()
     # Anything changed voids the record, even where the model never reads it.
-    edited = {item.name for item in examine(amcl(tmp_path, text=f"{RECORDED}    z_short: 0.06\n"))}
-    assert {"sigma-huge", "nearly-flat"} <= edited
-    assert "calibrated" not in edited
+    for changed in ("z_short: 0.06", "alpha1: 0.5", "alpha1: 1"):
+        edited = {item.name for item in examine(amcl(tmp_path, text=f"{RECORDED}    {changed}\n"))}
+        assert {"sigma-huge", "nearly-flat"} <= edited
+        assert "calibrated" not in edited
 
 
 def test_a_scan_that_says_nothing_at_all_is_a_warning(tmp_path):

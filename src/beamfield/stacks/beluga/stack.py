@@ -8,7 +8,7 @@ from typing import Any
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.amcl.chapter import amcl_fit_space, beam_notes, plain_from_chapter
 from beamfield.stacks.amcl.learned_motion import differential_alphas, omni_alphas
-from beamfield.stacks.amcl.parameters import ROS_1_DEFAULTS, ROS_1_NAMES
+from beamfield.stacks.amcl.parameters import DECLARED, ROS_1_DEFAULTS, ROS_1_NAMES
 from beamfield.stacks.beluga.filter import BelugaFilterParameters, beluga_filter
 from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
 from beamfield.stacks.beluga.motion import DIFFERENTIAL, NAV2_NAMES, OMNI, BelugaMotion
@@ -43,6 +43,12 @@ OTHER_NODE = OtherNode(
         "update_min_d": 0.2, "update_min_a": math.pi / 6.0,
     },
 )  # fmt: skip
+# Of its node for ROS 2; nav2's files have -1.0 for laser_min_range.
+LIMITS = {
+    **dict.fromkeys(("z_hit", "z_short", "z_max", "z_rand", "recovery_alpha_slow", "recovery_alpha_fast", "pf_err"),
+                    (0.0, 1.0)),
+    "laser_min_range": (0.0, math.inf), "update_min_a": (0.0, math.tau), "max_beams": (2.0, math.inf),
+}  # fmt: skip
 _FIELD = "p = z_hit N(d; 0, sigma_hit²) + z_rand / laser_max_range, d from a beam's end to the nearest obstacle"
 
 
@@ -107,6 +113,8 @@ BELUGA = Stack(
     layout=("amcl:", "  ros__parameters:"),
     model_key="laser_model_type",
     unknown_model="Beluga stops with an error: the robot does not localise",
+    declares=DECLARED,
+    limits=LIMITS,
     is_typed=True,
     too_few_beams="without beams no pose can be weighed",
     other_node=OTHER_NODE,

@@ -311,6 +311,30 @@ def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office
     assert nothing.finalist.sensor == "fitted"
 
 
+def test_a_sensor_that_only_some_stretches_choose_does_not_hide_what_is_better_for_sure(office, monkeypatch):
+    # Two rooms choose the fitted sensor, which is lost in the hall; over all three the user's own is best.
+    errors = {("before", "before"): (0.3,) * 3, ("before", "alpha 0.02"): (0.18,) * 3,
+              ("fitted", "before"): (0.3, 0.3, 1.0), ("fitted", "alpha 0.02"): (0.1, 0.1, 1.0)}  # fmt: skip
+
+    def runs(key: Key) -> list[ReplayTrials]:
+        return [
+            ReplayTrials(name, tuple(range(12)), tuple(replace(RUN, mean=error + 0.0001 * i) for i in range(12)))
+            for name, error in zip(("room", "room 2", "hall"), errors[key.sensor, key.motion], strict=True)
+        ]
+
+    class Known(Replays):
+        def of(self, settings, *_):
+            return {one.key: runs(one.key) for one in settings}
+
+    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, z_hit=0.9))}
+    noises = MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
+    choice = choose_by_replay(nav2_filter(), sensors, noises, 0.0, [None] * 3, office, FEW)
+    assert choice.is_better
+    assert choice.chosen.key == Key("before", "alpha 0.02", 0.0, "before")
+    assert choice.error.after == pytest.approx(0.18, abs=0.001)
+
+
 def test_motion_noise_that_only_the_choice_likes_stays_as_it_was(office, monkeypatch):
     # One noise for each room, worse in the other than the user's, and one that is a little better in both.
     errors = {"before": (0.054, 0.054), "of room": (0.035, 0.08), "of hall": (0.08, 0.035), "of both": (0.045, 0.045)}

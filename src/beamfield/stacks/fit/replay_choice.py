@@ -168,7 +168,7 @@ def choose_by_replay(
     the log choose together, and keep the user's motion noise or sensor, and random poses in sums, if other values are
     not surely better. They judge crosswise: on each one the setting that the others choose runs against the user's. A
     few stretches disagree too much for half of them to choose and half to judge. If the choice is not better for sure,
-    it is made once more without its sensor.
+    it is made once more without its sensor, or without those that only some stretches choose.
 
     Parameters
     ----------
@@ -266,10 +266,12 @@ def choose_by_replay(
             simpler = [settings[one] for one in keys]
             rest = judge(settings[key], simpler)
             choice, crossed = (rest, simpler) if rest.is_better else (choice, crossed)
-    if choice.is_better or finalist.sensor == BEFORE:
+    others = {one.sensor for one in crossed} - {BEFORE} if finalist.sensor == BEFORE else {finalist.sensor}
+    if choice.is_better or not others:
         return choice
-    # What is not better for sure, as a sensor that loses a few robots, must not hide what is.
-    fewer = {name: one for name, one in sensors.items() if name != finalist.sensor}
+    # What is not better for sure, as a sensor that loses a few robots, must not hide what is; nor must one that only
+    # some of the stretches choose.
+    fewer = {name: one for name, one in sensors.items() if name not in others}
     again = choose_by_replay(before, fewer, motions, shift, stretches, grid, options, progress, kept, is_moved=is_moved)
     return replace(again, n_settings=choice.n_settings) if again.is_better else choice
 

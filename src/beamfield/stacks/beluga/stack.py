@@ -11,7 +11,7 @@ from beamfield.stacks.amcl.learned_motion import differential_alphas, omni_alpha
 from beamfield.stacks.amcl.parameters import DECLARED, ROS_1_DEFAULTS, ROS_1_NAMES
 from beamfield.stacks.beluga.filter import BelugaFilterParameters, beluga_filter
 from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
-from beamfield.stacks.beluga.motion import DIFFERENTIAL, NAV2_NAMES, OMNI, BelugaMotion
+from beamfield.stacks.beluga.motion import DIFFERENTIAL, NAV2_NAMES, OMNI, STATIONARY, BelugaMotion
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.stack import (
@@ -55,7 +55,8 @@ _FIELD = "p = z_hit N(d; 0, sigma_hit²) + z_rand / laser_max_range, d from a be
 def _likeness(section: ParameterSection) -> float:
     if section.package == PACKAGE:
         return SURE
-    own = section.count(SIGNS)
+    motion = section.entries.get("robot_model_type") or section.entries.get("odom_model_type")
+    own = section.count(SIGNS) + (motion is not None and motion.value in (DIFFERENTIAL, OMNI, STATIONARY))
     if section.is_ros_2:
         return own or 0.5
     if own:  # its node for ROS 1 has amcl's names, and some of its own

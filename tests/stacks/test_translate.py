@@ -203,6 +203,20 @@ def test_a_weight_that_beluga_refuses_is_said(params, sigma, above):
     assert any(note.startswith(said) for note in found.notes) is above
 
 
+@pytest.mark.parametrize(
+    ("to", "said"),
+    [
+        ("ros1", "chosen for the map amcl_map.yaml"),
+        ("beluga", "chosen with amcl_map.yaml, which is for nav2 alone: give Beluga the map that it was made from"),
+        ("chapter", "chosen with amcl_map.yaml, which is for nav2 alone: give beamfield the map that it was made from"),
+    ],
+)
+def test_which_map_goes_with_values_for_the_moved_one_is_said(params, to, said):
+    file = params("nav2", laser_model_type="likelihood_field_prob", z_hit="0.5  # chosen for the map amcl_map.yaml")
+    assert said in translate(file, to).notes
+    assert not any("amcl_map" in note for note in translate(params("nav2", z_hit=0.5), "beluga").notes)
+
+
 def test_options_that_only_beluga_has_are_not_lost_in_silence(params):
     notes = translate(params("beluga", laser_model_type="likelihood_field", z_hit=0.5), "nav2").notes
     assert any("only_obstacle_boundaries is left out" in note for note in notes)

@@ -20,6 +20,7 @@ from beamfield.finding import Finding
 from beamfield.io.read_map import read_map
 from beamfield.report.page_section import PageSection
 from beamfield.report.verdict import DOUBTS
+from beamfield.stacks.files.calibration_record import goes_with_moved_map
 from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
@@ -104,6 +105,10 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     for path in (mine, tmp_path / "out" / "nav2.yaml"):
         assert main(["doctor", str(path), "--map", str(world / "map.yaml")]) == 0
         assert "info: calibrated" in capsys.readouterr().out
+    out = ("--out", str(tmp_path / "again"))
+    for command in (["calibrate", "LOG"], ["trajectory", "LOG"], ["evaluate", "LOG", "--params", str(mine)]):
+        assert main([*command, "--map", str(copied), *(() if command[0] == "trajectory" else out)]) == 1
+        assert "amcl_map.yaml: this is the map that beamfield calibrate wrote for amcl alone" in capsys.readouterr().err
     mine.write_text(after.replace("z_rand: ", "z_rand: 1"))
     main(["doctor", str(mine)])
     assert "info: calibrated" not in capsys.readouterr().out
@@ -143,9 +148,10 @@ def test_without_a_replay_the_users_file_stays(world, tmp_path, capsys):
 
 def test_values_can_be_chosen_for_the_map_as_it_is(world, tmp_path):
     mine = tmp_path / "mine.yaml"
-    mine.write_text(MINE)
+    mine.write_text(f"{MINE}# chosen for the map amcl_map.yaml\n")
     asked = ("--stack", "nav2", "--model", "likelihood_field", "--keep-map", "--patch", str(mine))
     assert calibrate(world, tmp_path / "out", *asked) == 0
+    assert not goes_with_moved_map(mine.read_text())
     replay = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]["replay"]
     assert replay["error"]["after"] > 0.0
     assert not (tmp_path / "out" / "amcl_map.yaml").exists()
@@ -191,10 +197,14 @@ def test_a_file_that_was_patched_before_gets_no_second_backup_of_the_same(tmp_pa
 def test_files_are_compared_on_another_drive_only_if_they_differ():
     given = SimpleNamespace(map="map.yaml", patch="mine.yaml", out=Path("out"), section=None)
     kept = StackPart("stack", "", {}, PageSection("stack", "", ""), {}, values={}, record="as calibrated")
-    moved = replace(kept, files={"amcl_map.yaml": ""})
-    assert next_step(given, Path("mine.yaml.bak"), kept) == ""
-    assert next_step(given, Path("mine.yaml.bak"), moved).endswith("--filter-maps map.yaml out/amcl_map.yaml")
-    assert "--filter-maps" not in next_step(given, Path("mine.yaml.bak"), replace(kept, values={"z_hit": 0.6}))
+    moved, values = replace(kept, files={"amcl_map.yaml": ""}), {"z_hit": 0.6}
+    backup, record = Path("mine.yaml.bak"), "# chosen for the map amcl_map.yaml\n"
+    assert next_step(given, backup, kept, MINE) == ""
+    assert next_step(given, backup, moved, MINE).endswith("--filter-maps map.yaml out/amcl_map.yaml")
+    assert "--filter-maps" not in next_step(given, backup, replace(kept, values=values), MINE)
+    assert next_step(given, backup, moved, MINE + record) == ""
+    again = next_step(given, backup, replace(moved, values=values), MINE + record)
+    assert again.endswith("--filter-maps out/amcl_map.yaml out/amcl_map.yaml")
 
 
 def test_a_stack_needs_a_map(world, tmp_path, capsys):

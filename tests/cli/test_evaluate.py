@@ -101,12 +101,13 @@ def test_a_file_of_several_programs_is_noted(world, tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_filter_may_read_a_map_of_its_own_and_files_of_one_name_are_told_apart(world, tmp_path):
+def test_a_filter_may_read_a_map_of_its_own_and_files_of_one_name_are_told_apart(world, tmp_path, capsys):
     moved = world / "drive" / "moved.yaml"
     moved.write_text(moved_map_text(world / "drive" / "map.yaml", (0.4, 0.0), "map.pgm"))
     maps = ("--filter-maps", str(world / "drive" / "map.yaml"), str(moved))
+    noted = "sighted.yaml: its values were chosen for the map amcl_map.yaml: give that with --filter-maps"
     (world / "again").mkdir()
-    (world / "again" / "sighted.yaml").write_text(SIGHTED)
+    (world / "again" / "sighted.yaml").write_text(f"{SIGHTED}# chosen for the map amcl_map.yaml\n")
     params = ("sighted.yaml", "again/sighted.yaml")
     assert evaluate(world, tmp_path / "out", "--seeds", "2", *maps, params=params) == 0
     document = json.loads((tmp_path / "out" / "evaluation.json").read_text())
@@ -115,6 +116,9 @@ def test_a_filter_may_read_a_map_of_its_own_and_files_of_one_name_are_told_apart
     # The whole map lies 0.4 m to one side, and so does the answer.
     assert abs(wrong - 0.4) < right + 0.05
     assert document["provenance"]["inputs"]["filter maps 2"]["name"] == "moved.yaml"
+    assert noted not in capsys.readouterr().err
+    assert evaluate(world, tmp_path / "out", "--seeds", "1", params=params[1:]) == 0
+    assert noted in capsys.readouterr().err
     assert evaluate(world, tmp_path / "out", *maps[:2], params=params) == 2
 
 

@@ -88,7 +88,7 @@ def calibrate_and_patch(folder: Path) -> Patch:
         assert file is not None
         changed, parameters = _learned(file)
         values.update(file.by_names_in_file(changed))
-        record = record_text(file.stack, file.model, parameters, "0.0", "all of 3 windows covered")
+        record = record_text(file.stack, file.model, parameters, None, "0.0", "all of 3 windows covered")
         part = StackPart("stack", "", {"verdict": ""}, PageSection("stack", "", ""), {}, values=changed, record=record)
         return SensorResult({"beam_model.yaml": "a: 1\n"}, "", {}, part, (), (PARAMETERS, sensor))
 

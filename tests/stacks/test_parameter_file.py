@@ -538,6 +538,15 @@ def test_ros_2_ignores_the_names_of_ros_1(write):
     assert checked_values(file).z_hit == 0.5
 
 
+@pytest.mark.parametrize(
+    ("kind", "possible"),
+    [("differential_drive", ("beluga",)), ("nav2_amcl::DifferentialMotionModel", ("nav2", "beluga"))],
+)
+def test_a_file_with_belugas_name_of_a_motion_model_is_belugas(write, kind, possible):
+    text = f'amcl:\n  ros__parameters:\n    z_hit: 0.5\n    robot_model_type: "{kind}"\n'
+    assert read_stack_file(write(text)).possible == possible
+
+
 def test_an_amcl_node_stays_amcls_whatever_stray_names_it_has(write):
     text = LAUNCH.replace("</node>", '<param name="execution_policy" value="seq"/></node>', 1)
     assert read_stack_file(write(text, "a.launch")).possible == ("ros1",)

@@ -27,6 +27,7 @@ from beamfield.stacks.beluga.motion import BelugaMotion
 from beamfield.stacks.f1tenth.filter import F1tenthFilterParameters
 from beamfield.stacks.f1tenth.motion import F1tenthMotion
 from beamfield.stacks.files.filter_file import FilterSettings
+from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.fit import replay_runs
 from beamfield.stacks.fit.kept_runs import KeptRuns, kept_runs
@@ -100,6 +101,22 @@ def test_absurd_motion_noise_is_repaired(repaired, office):
     assert "sensor" not in repaired.parts
 
 
+def test_for_a_file_that_goes_with_the_moved_map_all_is_replayed_with_it(office, stretches):
+    half = 0.5 * office.resolution
+    noises = MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
+    asked = nav2_filter(**ABSURD), {"before": (KIND, SENSOR)}, noises, half, stretches, office, FEW
+    choice = choose_by_replay(*asked, is_moved=True)
+    assert choice.before.key == Key("before", "before", half, "before")
+    assert choice.chosen.key == Key("before", "alpha 0.02", half, "before")
+    assert choice.n_settings == 2
+    assert choice.parts.keys() == {"motion"}
+    assert "2 settings of sensor and motion noise were replayed" in replay_tables(choice)
+    # The runs before are those of a filter that reads the moved map.
+    there = replace(office, origin=office.origin + np.array([half, half, 0.0]))
+    alone = choose_by_replay(asked[0], asked[1], MotionCandidates({"before": {}}, None), 0.0, stretches, there, FEW)
+    assert choice.error.before == alone.error.before
+
+
 def test_values_that_nothing_beats_are_kept(office, stretches):
     own = nav2_filter(**GOOD)
     worse = replace(SENSOR, z_hit=0.0, z_rand=1.0)  # says nothing
@@ -130,7 +147,7 @@ def test_poses_drawn_at_random_are_left_out_where_they_lead_astray(office, stret
     assert choice.is_better == (recovery == "off")
     assert choice.chosen.filter.recovery_rates == ((0.0, 0.0) if recovery == "off" else (0.01, 0.99))
     assert choice.n_settings == 2
-    assert "settings of sensor, motion noise, map origin and recovery were replayed" in replay_tables(choice)
+    assert "settings of sensor, motion noise and recovery were replayed" in replay_tables(choice)
 
 
 def test_seeds_that_are_missing_are_run_and_no_others(office, stretches, monkeypatch):
@@ -196,6 +213,7 @@ def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):
     assert document["error"]["high"] < 0.0
     assert document["chosen"]["parameters"]["alpha3"] == 0.02
     assert document["without"].keys() == repaired.parts.keys()
+    assert "4 settings of sensor, motion noise and map origin were replayed" in replay_tables(repaired)
     assert all("alpha 0.02" in said for said in (replay_markup(repaired), replay_tables(repaired)))
 
 
@@ -291,6 +309,30 @@ def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office
     nothing = choose()
     assert not nothing.is_better
     assert nothing.finalist.sensor == "fitted"
+
+
+def test_a_sensor_that_only_some_stretches_choose_does_not_hide_what_is_better_for_sure(office, monkeypatch):
+    # Two rooms choose the fitted sensor, which is lost in the hall; over all three the user's own is best.
+    errors = {("before", "before"): (0.3,) * 3, ("before", "alpha 0.02"): (0.18,) * 3,
+              ("fitted", "before"): (0.3, 0.3, 1.0), ("fitted", "alpha 0.02"): (0.1, 0.1, 1.0)}  # fmt: skip
+
+    def runs(key: Key) -> list[ReplayTrials]:
+        return [
+            ReplayTrials(name, tuple(range(12)), tuple(replace(RUN, mean=error + 0.0001 * i) for i in range(12)))
+            for name, error in zip(("room", "room 2", "hall"), errors[key.sensor, key.motion], strict=True)
+        ]
+
+    class Known(Replays):
+        def of(self, settings, *_):
+            return {one.key: runs(one.key) for one in settings}
+
+    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, z_hit=0.9))}
+    noises = MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
+    choice = choose_by_replay(nav2_filter(), sensors, noises, 0.0, [None] * 3, office, FEW)
+    assert choice.is_better
+    assert choice.chosen.key == Key("before", "alpha 0.02", 0.0, "before")
+    assert choice.error.after == pytest.approx(0.18, abs=0.001)
 
 
 def test_motion_noise_that_only_the_choice_likes_stays_as_it_was(office, monkeypatch):
@@ -392,6 +434,27 @@ def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, offic
     assert replay_fit(job, blind, office, fit, [], {}) == (None, "the log has no odometry")
     monkeypatch.setitem(STACKS, "mrpt", replace(STACKS["mrpt"], filter=None))
     assert replay_fit(job, drive, office, fit, [], {}) == (None, "the particle filter of mrpt is not emulated")
+
+
+@pytest.mark.parametrize(
+    ("keep_map", "record", "asked"),
+    [(False, True, (True, True)), (False, False, (True, False)), (True, True, (False, False))],
+)
+def test_a_file_whose_values_were_chosen_for_the_moved_map_is_replayed_with_it(
+    drive, office, tmp_path, monkeypatch, keep_map, record, asked
+):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5\n" + "# chosen for the map amcl_map.yaml\n" * record)
+    model, values = SimpleNamespace(stack="nav2", model=KIND), SimpleNamespace(parameters=SENSOR)
+    fit = SimpleNamespace(model=model, before=values, chosen=values, parameters=SENSOR)
+    given = SimpleNamespace(keep_map=keep_map, map=Path("map.yaml"), reference_error=0.01, seed=0)
+    job = SimpleNamespace(patched=read_stack_file(mine, stack="nav2"), arguments=given, progress=lambda *_: None)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(
+        "beamfield.stacks.fit.replay_choice.choose_by_replay",
+        lambda *inputs, is_moved: (inputs[3] == 0.5 * office.resolution, is_moved),
+    )
+    assert replay_fit(job, drive, office, fit, [], {}) == (asked, "")
 
 
 def test_safe_noise_is_twice_what_the_log_shows_but_not_twice_the_floor(drive):

@@ -194,6 +194,29 @@ def test_a_peak_that_amcl_asserts_against_is_said(params, sigma, above):
     assert any("z_hit is above 1" in note for note in translate(file, "nav2").notes) is above
 
 
+@pytest.mark.parametrize(("sigma", "above"), [(0.6, True), (0.3, False)])
+def test_a_weight_that_beluga_refuses_is_said(params, sigma, above):
+    """nav2's z_hit 0.8 is 0.8 sigma_hit sqrt(2 pi) in Beluga, whose node declares that it takes 0 to 1."""
+    found = translate(params("nav2", laser_model_type="likelihood_field", z_hit=0.8, sigma_hit=sigma), "beluga")
+    assert (found.values["z_hit"] > 1.0) is above
+    said = "z_hit is above 1: Beluga's node for ROS 2 refuses it and does not start"
+    assert any(note.startswith(said) for note in found.notes) is above
+
+
+@pytest.mark.parametrize(
+    ("to", "said"),
+    [
+        ("ros1", "chosen for the map amcl_map.yaml"),
+        ("beluga", "chosen with amcl_map.yaml, which is for nav2 alone: give Beluga the map that it was made from"),
+        ("chapter", "chosen with amcl_map.yaml, which is for nav2 alone: give beamfield the map that it was made from"),
+    ],
+)
+def test_which_map_goes_with_values_for_the_moved_one_is_said(params, to, said):
+    file = params("nav2", laser_model_type="likelihood_field_prob", z_hit="0.5  # chosen for the map amcl_map.yaml")
+    assert said in translate(file, to).notes
+    assert not any("amcl_map" in note for note in translate(params("nav2", z_hit=0.5), "beluga").notes)
+
+
 def test_options_that_only_beluga_has_are_not_lost_in_silence(params):
     notes = translate(params("beluga", laser_model_type="likelihood_field", z_hit=0.5), "nav2").notes
     assert any("only_obstacle_boundaries is left out" in note for note in notes)

@@ -83,14 +83,15 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Parse, read, calibrate, write."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.cli.calibrate_replay import MAP_NAME
     from beamfield.cli.calibrate_sensor import CalibrationJob
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
+    from beamfield.stacks.files.calibration_record import MOVED_MAP
 
     error_is_given = arguments.reference_error is not None
     if not error_is_given:
         arguments = argparse.Namespace(**{**vars(arguments), "reference_error": REFERENCE_ERROR})
     _check(arguments)
+    inputs.refuse_moved_map(arguments.map)
     check_folder_writable(arguments.out)
     check_recordings(arguments)
     learning = _options(arguments)
@@ -122,7 +123,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
                 (place / file_name).write_text(content, encoding="utf-8")
         recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
     if arguments.stack is not None:
-        maps = [arguments.out / folders[name] / MAP_NAME for name, one in results.items() if MAP_NAME not in one.files]
+        maps = [
+            arguments.out / folders[name] / MOVED_MAP for name, one in results.items() if MOVED_MAP not in one.files
+        ]
         notes += tuple(f"{path}: of an earlier run; these values do not go with it" for path in maps if path.exists())
     line = ", ".join([f"wrote {', '.join(first.files)} into {arguments.out}", *map(str, recorded)])
     verdicts = [(result.stack or result).document["verdict"] for result in results.values()]
@@ -130,7 +133,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if patched is not None and first.stack is not None:
         changed, backup = write_patch(patched, first.stack)
         line, brief = f"{line}\n{changed}", f"{brief.removesuffix('.')}; {changed}"
-        if backup is not None and (step := next_step(arguments, backup, first.stack)):
+        if backup is not None and (step := next_step(arguments, backup, first.stack, patched.section.text)):
             line += f"\n{step}"
     heads = {name: f"== {printable(name)}\n" if len(results) > 1 else "" for name in results}
     # The answer comes last, where it is seen without scrolling.

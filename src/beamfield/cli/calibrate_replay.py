@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.errors import FormatError, TooLittleDataError
+from beamfield.stacks.files.calibration_record import MOVED_MAP
 
 if TYPE_CHECKING:
     from beamfield.cli.calibrate_sensor import CalibrationJob
@@ -16,9 +17,6 @@ if TYPE_CHECKING:
     from beamfield.stacks.files.filter_file import FilterSettings
     from beamfield.stacks.fit.fit import StackFit
     from beamfield.stacks.fit.replay_choice import ReplayChoice
-
-# A map with its origin set right, beside the parameter file.
-MAP_NAME = "amcl_map.yaml"
 
 
 def replay_fit(
@@ -30,6 +28,7 @@ def replay_fit(
     Returns the decision, or none and why nothing was replayed. `others` are fits of other models of the stack.
     `learned` is the motion noise that was asked for with --odometry-noise: it is then the only other one.
     """
+    from beamfield.stacks.files.calibration_record import goes_with_moved_map
     from beamfield.stacks.fit.kept_runs import kept_runs
     from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED, motion_candidates
     from beamfield.stacks.fit.replay_choice import choose_by_replay, replay_options
@@ -55,16 +54,19 @@ def replay_fit(
         sensors["fitted"] = fit.model.model, fit.parameters
     for other in others:
         sensors[f"{other.model.model} fitted"] = other.model.model, other.parameters
-    inputs = before, sensors, motions, _shift(job, before, grid), stretches, grid, options
+    shift = _shift(job, before, grid)
+    inputs = before, sensors, motions, shift, stretches, grid, options
+    is_moved = bool(shift) and job.patched is not None and goes_with_moved_map(job.patched.section.text)
     try:
-        with kept_runs(_cache_folder(), inputs) as kept:
-            return choose_by_replay(*inputs, job.progress, kept), ""
+        with kept_runs(_cache_folder(), (inputs, is_moved)) as kept:
+            return choose_by_replay(*inputs, job.progress, kept, is_moved=is_moved), ""
     except TooLittleDataError as problem:
         return None, str(problem)
 
 
 def shifted_map_file(job: CalibrationJob, choice: ReplayChoice) -> dict[str, str]:
     """Return the file of the map with another origin, by name; none if the origin stays."""
+    from beamfield.cli.inputs import OF_MOVED_MAP
     from beamfield.cli.provenance import file_name
     from beamfield.io.maps.ros_map import image_path
     from beamfield.io.maps.ros_map_writer import moved_map_text
@@ -78,14 +80,14 @@ def shifted_map_file(job: CalibrationJob, choice: ReplayChoice) -> dict[str, str
     # An absolute path outlives a copy of this file.
     named = image.relative_to(place) if image.is_relative_to(place) else image
     comments = [
-        f"{file_name(arguments.map)} for amcl alone: its origin is moved by {shift:g} m, half a cell, in x and in y.",
+        f"{file_name(arguments.map)} {OF_MOVED_MAP} {shift:g} m, half a cell, in x and in y.",
         "amcl takes the origin for the centre of the first cell, everything else for its corner. With this origin amcl",
         "has the walls where they are. Costmaps, planners and rviz need the map as it was: let a second map_server",
         "publish this one, on a topic that amcl alone takes.",
         f"On another computer put this file beside the picture, and write image: {file_name(image)}",
     ]
     head = "".join(f"# {line}\n" for line in comments)
-    return {MAP_NAME: head + moved_map_text(arguments.map, (shift, shift), str(named))}
+    return {MOVED_MAP: head + moved_map_text(arguments.map, (shift, shift), str(named))}
 
 
 def _settings(job: CalibrationJob, fit: StackFit) -> FilterSettings | None:

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield import __version__
 from beamfield.cli import options
-from beamfield.cli.calibrate_replay import MAP_NAME, replay_fit, shifted_map_file
+from beamfield.cli.calibrate_replay import replay_fit, shifted_map_file
 from beamfield.cli.report_part import StackPart
 from beamfield.cli.terminal import complain, line_width
 from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.stacks.files.calibration_record import MOVED_MAP, goes_with_moved_map
 
 if TYPE_CHECKING:
     from beamfield.calibration.calibrate import Calibration
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from beamfield.sensors import SensorLog
     from beamfield.stacks.files.parameter_file import StackFile
     from beamfield.stacks.fit.fit import StackFit
+    from beamfield.stacks.fit.replay_choice import ReplayChoice
 
 # Nats of a window that the best values must have on the map that the log belongs to. So much is known by who knows only
 # that the robot is at the reference, not elsewhere on the map: its prior is a half.
@@ -127,7 +129,7 @@ def fit_for_stack(
     )  # fmt: skip
     unproven = found.unproven.rstrip(".")
     record = _record(found) if found.covers and not (found.doubt or unproven) else ""
-    for_map = f"chosen for the map {MAP_NAME}" if choice is not None and choice.chosen.shift else ""
+    for_map = _for_map(job.patched, choice)
     start_values = asdict(found.start)
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
     noise = dict(motion) if choice is None else found.motion
@@ -142,6 +144,14 @@ def fit_for_stack(
         stack_section(found, text), files, values=changed, record="; ".join(filter(None, (record, for_map))),
         doubt=found.doubt or unproven, problem=unproven,
     )  # fmt: skip
+
+
+def _for_map(file: StackFile | None, choice: ReplayChoice | None) -> str:
+    """Return what to note in the user's file about the map its values are for; "" if it is the one that it had."""
+    if choice is not None and choice.chosen.shift:
+        return f"chosen for the map {MOVED_MAP}"
+    was_moved = choice is not None and file is not None and goes_with_moved_map(file.section.text)
+    return "chosen for the map as it is" if was_moved else ""
 
 
 def _said(stack: str, noise: Mapping[str, Any]) -> list[str]:
@@ -249,23 +259,30 @@ def write_patch(file: StackFile, fitted: StackPart) -> tuple[str, Path | None]:
     return "; ".join(text for text in said if text), backup
 
 
-def next_step(arguments: argparse.Namespace, backup: Path, fitted: StackPart) -> str:
-    """Return the command that compares the file with the old one on another drive; empty if they do the same."""
-    is_moved = MAP_NAME in fitted.files
-    if not (fitted.values or is_moved):
+def next_step(arguments: argparse.Namespace, backup: Path, fitted: StackPart, before: str) -> str:
+    """Return the command that compares the file with the old one on another drive; empty if they do the same.
+
+    `before` is the text of the old one.
+    """
+    is_moved, was_moved = MOVED_MAP in fitted.files, goes_with_moved_map(before)
+    if not (fitted.values or is_moved > was_moved):
         return ""
+    moved = arguments.out / MOVED_MAP
     words = ["--map", arguments.map, "--params", backup, arguments.patch]
-    words += ["--filter-maps", arguments.map, arguments.out / MAP_NAME] if is_moved else []
+    words += ["--filter-maps", moved if was_moved else arguments.map, moved] if is_moved else []
     words += ["--section", arguments.section] if arguments.section is not None else []
     return f"next, on another drive: beamfield evaluate OTHER_LOG {shlex.join(map(str, words))}"
 
 
 def _record(found: StackResult) -> str:
     from beamfield.stacks.files.calibration_record import record_text
+    from beamfield.stacks.registry import STACKS
 
     held_out, model = found.trial.held_out, found.chosen.model
     judged = f"{held_out.coverage:.0%} of {len(held_out.log_score)} held-out windows covered"
-    return record_text(model.stack, model.model, found.parameters, __version__, judged)
+    replay = None if STACKS[model.stack].motion_elsewhere else found.replay
+    motion = None if replay is None else replay.chosen.filter.motion
+    return record_text(model.stack, model.model, found.parameters, motion, __version__, judged)
 
 
 def _file_text(
@@ -285,5 +302,5 @@ def _file_text(
         *(item.text for item in small_z_hit(model.stack, model.model, found.parameters)),
     ]
     if found.replay is not None and found.replay.chosen.shift:
-        comments.append(f"for the map {MAP_NAME} beside this file, see there")
+        comments.append(f"for the map {MOVED_MAP} beside this file, see there")
     return new_file_text(arguments.stack, values, comments=comments)

@@ -22,11 +22,11 @@ from types import ModuleType
 from typing import Any
 
 from beamfield.cli import calibrate, evaluate, options, simulate
-from beamfield.cli.calibrate_replay import MAP_NAME
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, positive
 from beamfield.cli.terminal import say
 from beamfield.errors import TooLittleDataError
+from beamfield.stacks.files.calibration_record import MOVED_MAP
 
 MODEL = "likelihood_field_prob"
 # Neighbouring beams and scans err alike, as those of real robots do: readings that people and moved furniture cut short
@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     compared = _run(arguments, evaluate, [
         "evaluate", other / simulate.CARMEN, "--lone-poses", "odometry", "--poses", other / simulate.POSES,
         "--map", drive / simulate.MAP, "--params", out / BEFORE, result / AFTER,
-        "--filter-maps", drive / simulate.MAP, result / MAP_NAME if is_moved else drive / simulate.MAP,
+        "--filter-maps", drive / simulate.MAP, result / MOVED_MAP if is_moved else drive / simulate.MAP,
         "--seeds", SEEDS, "--out", out / "evaluation",
     ])  # fmt: skip
     truth = true_parameters(json.loads((drive / simulate.TRUTH).read_text(encoding="utf-8")))

@@ -85,6 +85,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.stacks.files.filter_file import read_filter_settings
 
     _check(arguments)
+    inputs.refuse_moved_map(arguments.map)
     check_folder_writable(arguments.out)
     check_recordings(arguments)
     files, notes = _read_files(arguments)
@@ -134,6 +135,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _read_files(arguments: argparse.Namespace) -> tuple[dict[str, StackFile], list[str]]:
     """Return the parameter files by a short name, and what was noticed."""
+    from beamfield.stacks.files.calibration_record import MOVED_MAP, goes_with_moved_map
     from beamfield.stacks.files.parameter_file import read_stack_file
 
     files: dict[str, StackFile] = {}
@@ -141,6 +143,8 @@ def _read_files(arguments: argparse.Namespace) -> tuple[dict[str, StackFile], li
     for name, path in _short_names(arguments.params).items():
         file = files[name] = read_stack_file(path, stack=arguments.stack, section=arguments.section)
         notes += [f"{name}: {file.uncertainty}"] if file.uncertainty else []
+        if arguments.filter_maps is None and goes_with_moved_map(file.section.text):
+            notes.append(f"{name}: its values were chosen for the map {MOVED_MAP}: give that with --filter-maps")
         notes += file.unread
     return files, notes
 

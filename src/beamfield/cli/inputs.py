@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from beamfield.models.field_parameters import SavedLikelihoodField
     from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
+# What calibrate writes above a map that only a program that reads it half a cell off sees rightly.
+OF_MOVED_MAP = "for amcl alone: its origin is moved by"
+_LONGEST_LINE = 1000
+
 
 def read_grid(arguments: argparse.Namespace) -> OccupancyGrid:
     """Read --map, and say if it seems to be the log."""
@@ -51,6 +55,19 @@ def read_walls(arguments: argparse.Namespace) -> OccupancyGrid:
     if not grid.occupied.any():
         raise FormatError(arguments.map, "the map has no occupied cell: no ray has an expected range")
     return grid
+
+
+def refuse_moved_map(path: Path | None) -> None:
+    """Refuse a map for amcl alone where the true one is wanted: all poses would be half a cell off."""
+    if path is None or path.suffix not in (".yaml", ".yml") or not path.is_file():
+        return
+    with path.open("rb") as stream:
+        begin = stream.readline(_LONGEST_LINE)
+    if OF_MOVED_MAP.encode() in begin:
+        raise FormatError(
+            path, "this is the map that beamfield calibrate wrote for amcl alone, half a cell off for everything else: "
+            "give the map that it was made from",
+        )  # fmt: skip
 
 
 def read_range_table(arguments: argparse.Namespace, grid: OccupancyGrid, finder: RangeFinder) -> RangeTable | None:

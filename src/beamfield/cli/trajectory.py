@@ -55,6 +55,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.report.trajectory_figure import draw_fit
     from beamfield.sensors import Track
 
+    inputs.refuse_moved_map(arguments.map)
     picture = _picture(arguments)
     with options.progress(arguments) as progress:
         grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)

@@ -15,7 +15,6 @@ from beamfield.report.text_table import aligned
 from beamfield.stacks.fit.motion_candidates import BEFORE
 from beamfield.stacks.fit.replay_choice import ReplayChoice
 from beamfield.stacks.fit.replay_runs import ReplaySetting
-from beamfield.stacks.registry import STACKS
 
 _HEADER = ("", "error [m]", "difference, 95% interval", "lost runs", "inside 95%")
 _PARTS = {
@@ -99,7 +98,7 @@ def _what(choice: ReplayChoice) -> str:
     *parts, last = (
         "sensor",
         "motion noise",
-        *(["map origin"] if STACKS[before.stack].half_cell_low else []),
+        *(["map origin"] if choice.moves_origin else []),
         *(["recovery"] if any(before.recovery_rates) else []),
     )
     return (

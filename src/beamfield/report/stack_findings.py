@@ -86,14 +86,19 @@ def _about_model(result: StackResult) -> Iterator[Finding]:
 
 def _about_map(result: StackResult) -> Iterator[Finding]:
     if result.replay is not None and (shift := result.replay.chosen.shift):
-        origin = result.replay.parts["origin"]
+        origin, stack = result.replay.parts.get("origin"), result.chosen.model.stack
+        seen = (
+            "The file says that its values were chosen for it: all were replayed with it (--keep-map: with yours)."
+            if origin is None
+            else f"In the replay the position error was {origin.before:.3f} m with your map as it is, "
+            f"{origin.after:.3f} m with this one."
+        )
         yield Finding(
             "stack-map",
             "info",
             f"The values go with amcl_map.yaml, your map with its origin moved by {shift:g} m.",
             {"shift_m": shift},
-            why=f"{result.chosen.model.stack} reads maps half a cell off. In the replay the position error was "
-            f"{origin.before:.3f} m with your map as it is, {origin.after:.3f} m with this one.",
+            why=f"{stack} reads maps half a cell off. {seen}",
             do="Let a second map_server publish it on a topic that amcl alone takes; all else needs your map as it is.",
         )
 

@@ -253,6 +253,10 @@ class Stack:
     unknown_model
         What it does with the name of a model that it does not have, in which the default is examined; "" refuses such
         files.
+    declares
+        Further parameters that it declares, with values of their types.
+    limits
+        Least and largest value of parameters for which it declares them; with others it does not start.
     is_typed
         Whether it declares each parameter's type and stops if the file has another: nodes of ROS 2 do.
     is_roscpp
@@ -313,6 +317,8 @@ class Stack:
     in_launch_files: bool = False
     model_key: str = ""
     unknown_model: str = ""
+    declares: Mapping[str, Value] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     is_typed: bool = False
     is_roscpp: bool = False
     wrong_type: str = "the program stops, or uses another value without a message"

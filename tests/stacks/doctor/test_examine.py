@@ -16,6 +16,7 @@ from beamfield.stacks.doctor.examine import CHECKS, examine
 from beamfield.stacks.doctor.subject import MapFile
 from beamfield.stacks.files.calibration_record import record_text, with_record
 from beamfield.stacks.files.parameter_file import read_stack_file
+from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from tests.calibration.test_odometry import amcl_log
 from tests.pillar_hall import drive, hall
@@ -135,7 +136,7 @@ AGAIN = WITHOUT.replace("  </node>", '    <param name="laser_z_hit" value="0.9"/
 
 RECORDED = with_record(
     "amcl:\n  ros__parameters:\n    sigma_hit: 0.6\n",
-    record_text("nav2", "likelihood_field", Nav2Parameters(sigma_hit=0.6), "1.0", "well"), "yaml",
+    record_text("nav2", "likelihood_field", Nav2Parameters(sigma_hit=0.6), Nav2Motion(), "1.0", "well"), "yaml",
 )  # fmt: skip
 
 
@@ -178,6 +179,9 @@ FINDINGS = {
     "wrong-type of text": ({"z_rand": "much"}, {}, {"z_rand": 0.5}, {}),
     "wrong-type of count": ({"max_beams": 59.5}, {}, {"max_beams": 59}, {}),
     "out-of-range": ({"sigma_hit": -0.1}, {}, {"sigma_hit": 0.1}, {}),
+    "out-of-range of Beluga": (
+        {"stack": "beluga", "laser_min_range": -1.0}, {}, {"stack": "beluga", "laser_min_range": 0.0}, {},
+    ),
     "filled-in-at-start": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
     "filled-in-at-start of YAML": ({"z_rand": "$(var z_rand)"}, {}, {"z_rand": 0.5}, {}),
     "motion-noise-wide": (alphas(0.9), {"log": noisy_drive}, alphas(0.03), {"log": noisy_drive}),
@@ -592,6 +596,35 @@ def test_an_integer_for_a_double_does_not_hide_what_else_is_wrong(tmp_path):
     assert "out-of-range" in [item.name for item in examine(amcl(tmp_path, sigma_hit=0))]
 
 
+@pytest.mark.parametrize("stack", ["nav2", "beluga", "ros1"])
+def test_wrong_types_of_parameters_that_no_model_uses_are_errors_where_the_node_refuses_them(tmp_path, stack):
+    wrong = "z_hit: 0.5\ntransform_tolerance: 1\ntf_broadcast: 1\nscan_topic: 5\ninitial_pose: {x: 0, y: 0.5}\n"
+    lines = [f"    {line}\n" for line in wrong.splitlines()]
+    text = "".join(["amcl:\n  ros__parameters:\n", *lines, "    initial_pose.yaw: 0\n    set_initial_pose: yes\n"])
+    found = examine(amcl(tmp_path, stack, text=text.replace("z_hit", "laser_z_hit") if stack == "ros1" else text))
+    seen = {item.parameter: (item.line, item.do) for item in found if item.name == "wrong-type"}
+    typed = "write a value of the right type"
+    assert seen == ({} if stack == "ros1" else {
+        "transform_tolerance": (4, "write 1.0"), "tf_broadcast": (5, typed), "scan_topic": (6, typed),
+        "initial_pose.x": (7, "write 0.0"), "initial_pose.yaw": (8, "write 0.0"),
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "bounds"),
+    [("laser_min_range", -1.0, "0 or more"), ("z_hit", 1.2, "0 to 1"), ("update_min_a", 7.0, "0 to 6.283")],
+)
+def test_what_beluga_refuses_is_an_error_there_alone(tmp_path, name, value, bounds):
+    refused = {
+        stack: [item.text for item in examine(amcl(tmp_path, stack, **{name: value})) if item.name == "out-of-range"]
+        for stack in ("beluga", "nav2")
+    }
+    assert refused == {"beluga": [f"{name} is {value:g}, and Beluga takes {bounds}"], "nav2": []}
+    ros_1 = amcl(tmp_path, None, text="laser_z_hit: 0.5\nexecution_policy: seq\nlaser_min_range: -1.0\n")
+    assert (ros_1.stack, ros_1.is_typed) == ("beluga", False)
+    assert "out-of-range" not in [item.name for item in examine(ros_1)]
+
+
 def test_the_mean_of_mrpts_average_method_forbids_nothing(tmp_path):
     text = "[a_likelihoodOpts]\nLF_zRandom = 0\nLF_alternateAverageMethod = {}\n"
     names = {
@@ -606,9 +639,10 @@ def test_calibrated_values_are_not_advised_to_be_calibrated(tmp_path):
     names = {item.name for item in examine(amcl(tmp_path, text=RECORDED))}
     assert names & {"sigma-huge", "nearly-flat"} == set()
     # Anything changed voids the record, even where the model never reads it.
-    edited = {item.name for item in examine(amcl(tmp_path, text=f"{RECORDED}    z_short: 0.06\n"))}
-    assert {"sigma-huge", "nearly-flat"} <= edited
-    assert "calibrated" not in edited
+    for changed in ("z_short: 0.06", "alpha1: 0.5", "alpha1: 1"):
+        edited = {item.name for item in examine(amcl(tmp_path, text=f"{RECORDED}    {changed}\n"))}
+        assert {"sigma-huge", "nearly-flat"} <= edited
+        assert "calibrated" not in edited
 
 
 def test_a_scan_that_says_nothing_at_all_is_a_warning(tmp_path):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from beamfield.stacks.emulation.parameter_checks import check_choice, check_counts, check_numbers, check_switches
+from beamfield.stacks.syntax.parameter_text import Value
 
 MODEL_TYPES = ("likelihood_field", "likelihood_field_prob", "beam")
 # What ROS 1's amcl calls parameters of nav2's, where it differs; so does Beluga's node for ROS 1.
@@ -17,6 +18,13 @@ ROS_1_NAMES: Mapping[str, str] = {
 ROS_1_DEFAULTS: Mapping[str, float] = {
     "z_hit": 0.95, "z_short": 0.1, "z_max": 0.05, "z_rand": 0.05, "sigma_hit": 0.2, "lambda_short": 0.1,
     "max_beams": 30,
+}  # fmt: skip
+
+# What nav2's amcl and Beluga's declare as well, by the same names and of the same types.
+DECLARED: Mapping[str, Value] = {
+    "transform_tolerance": 1.0, "tf_broadcast": True, "set_initial_pose": False, "initial_pose.x": 0.0,
+    "initial_pose.y": 0.0, "initial_pose.yaw": 0.0, "global_frame_id": "map", "odom_frame_id": "odom",
+    "base_frame_id": "base_footprint", "scan_topic": "scan",
 }  # fmt: skip
 
 

@@ -8,10 +8,10 @@ from typing import Any
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.amcl.chapter import amcl_fit_space, beam_notes, plain_from_chapter
 from beamfield.stacks.amcl.learned_motion import differential_alphas, omni_alphas
-from beamfield.stacks.amcl.parameters import ROS_1_DEFAULTS, ROS_1_NAMES
+from beamfield.stacks.amcl.parameters import DECLARED, ROS_1_DEFAULTS, ROS_1_NAMES
 from beamfield.stacks.beluga.filter import BelugaFilterParameters, beluga_filter
 from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
-from beamfield.stacks.beluga.motion import DIFFERENTIAL, NAV2_NAMES, OMNI, BelugaMotion
+from beamfield.stacks.beluga.motion import DIFFERENTIAL, NAV2_NAMES, OMNI, STATIONARY, BelugaMotion
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.stack import (
@@ -43,13 +43,20 @@ OTHER_NODE = OtherNode(
         "update_min_d": 0.2, "update_min_a": math.pi / 6.0,
     },
 )  # fmt: skip
+# Of its node for ROS 2; nav2's files have -1.0 for laser_min_range.
+LIMITS = {
+    **dict.fromkeys(("z_hit", "z_short", "z_max", "z_rand", "recovery_alpha_slow", "recovery_alpha_fast", "pf_err"),
+                    (0.0, 1.0)),
+    "laser_min_range": (0.0, math.inf), "update_min_a": (0.0, math.tau), "max_beams": (2.0, math.inf),
+}  # fmt: skip
 _FIELD = "p = z_hit N(d; 0, sigma_hit²) + z_rand / laser_max_range, d from a beam's end to the nearest obstacle"
 
 
 def _likeness(section: ParameterSection) -> float:
     if section.package == PACKAGE:
         return SURE
-    own = section.count(SIGNS)
+    motion = section.entries.get("robot_model_type") or section.entries.get("odom_model_type")
+    own = section.count(SIGNS) + (motion is not None and motion.value in (DIFFERENTIAL, OMNI, STATIONARY))
     if section.is_ros_2:
         return own or 0.5
     if own:  # its node for ROS 1 has amcl's names, and some of its own
@@ -107,6 +114,8 @@ BELUGA = Stack(
     layout=("amcl:", "  ros__parameters:"),
     model_key="laser_model_type",
     unknown_model="Beluga stops with an error: the robot does not localise",
+    declares=DECLARED,
+    limits=LIMITS,
     is_typed=True,
     too_few_beams="without beams no pose can be weighed",
     other_node=OTHER_NODE,

@@ -24,6 +24,7 @@ from beamfield.stacks.files.typed_values import typed_values
 
 CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     value_checks.unusable_values,
+    value_checks.beyond_limits,
     value_checks.missing_ros_key,
     value_checks.given_again,
     log_checks.unknown_frames,

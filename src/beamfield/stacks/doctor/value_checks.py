@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from beamfield.finding import Finding
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.doctor.subject import Subject
-from beamfield.stacks.files.typed_values import MOST, Unusable, typed_fields
+from beamfield.stacks.files.typed_values import MOST, Unusable, typed_fields, wrong_types
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.stack import Stack, counterpart
 from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry
@@ -27,7 +28,8 @@ _OTHER_PREFIXES = (
 
 def unusable_values(subject: Subject) -> Iterator[Finding]:
     """Find values of the wrong type, out of range, infinite or NaN, and models that the program does not have."""
-    for value, (name, fault, message) in _unusable(subject):
+    for entry, (name, fault, message) in _unusable(subject):
+        value: Any = entry.value
         if fault == "filled-in":
             yield subject.finding(
                 "filled-in-at-start", "info", f"{name} {message}",
@@ -37,11 +39,11 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
         elif fault == "not-finite":
             yield _not_finite(subject, name, value)
         elif fault == "integer":
-            yield subject.finding(
+            yield replace(subject.finding(
                 "wrong-type", "error", f"{name} is the integer {value}",
                 "ROS 2 declares it as a double and refuses an integer: the node does not start",
                 f"write {value}.0", own=name,
-            )  # fmt: skip
+            ), line=entry.line)  # fmt: skip
         elif fault == "range":
             is_count = subject.name_of("max_beams") == name
             yield subject.finding(
@@ -60,11 +62,25 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
                 "write one of these names", own=name,
             )  # fmt: skip
         else:
-            yield subject.finding(
+            yield replace(subject.finding(
                 "wrong-type", "error", f"{name}: {message}",
                 "ROS 2 refuses the value: the node does not start" if subject.file.is_typed
                 else subject.stack.wrong_type,
                 "write a value of the right type", own=name,
+            ), line=entry.line)  # fmt: skip
+
+
+def beyond_limits(subject: Subject) -> Iterator[Finding]:
+    """Find values that the program can compute with but refuses."""
+    entries, known = subject.file.section.entries, {item.name for _, item in _unusable(subject)}
+    for name, (least, most) in subject.stack.limits.items() if subject.file.is_typed else ():
+        value = entries[name].value if name in entries and name not in known else None
+        if isinstance(value, int | float) and not least <= value <= most:
+            bounds = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:.4g}"
+            yield subject.finding(
+                "out-of-range", "error", f"{name} is {value:g}, and {subject.stack.title} takes {bounds}",
+                "ROS 2 refuses the value: the node does not start", f"write a value of {bounds}", own=name,
+                values={"value": float(value)},
             )  # fmt: skip
 
 
@@ -134,14 +150,15 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def _unusable(subject: Subject) -> Iterator[tuple[Any, Unusable]]:
-    """Yield what cannot be used of the measurement model's values, the motion model's and the particles'."""
+def _unusable(subject: Subject) -> Iterator[tuple[Entry, Unusable]]:
+    """Yield what cannot be used of the measurement model's values, the motion model's, the particles' and others."""
     for item in subject.typed.unusable:
-        yield subject.file.section.entries[item.name].value, item
+        yield subject.file.section.entries[item.name], item
     described, file = subject.stack.filter, subject.file.of_filter
     for kind in () if described is None else (described.motion, described.parameters):
         for item in typed_fields(file, kind).unusable:
-            yield file.section.entries[item.name].value, item
+            yield file.section.entries[item.name], item
+    yield from wrong_types(subject.file)
 
 
 def _unknown_model(subject: Subject, value: str) -> Finding:

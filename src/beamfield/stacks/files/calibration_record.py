@@ -10,24 +10,36 @@ from typing import Any
 from beamfield.stacks.syntax.line_ends import line_break
 from beamfield.stacks.syntax.parameter_text import Syntax
 
+# A copy of the map for amcl alone, with the origin that makes it see walls where they are.
+MOVED_MAP = "amcl_map.yaml"
 _MARK = "calibrated by beamfield"
+_OF_MAP = re.compile(rf"{_MARK}|chosen for the map|for the map {re.escape(MOVED_MAP)}")
 _RECORD = re.compile(rf"{_MARK} [^\n]*?checksum ([0-9a-f]{{16}})")
 
 
-def record_text(stack: str, model: str, parameters: Any, version: str, judged: str) -> str:
-    """Return the text of a record: of all the stack's parameters, and how well they did, for the reader."""
-    checksum = values_checksum(stack, model, parameters)
+def record_text(stack: str, model: str, parameters: Any, motion: Any, version: str, judged: str) -> str:
+    """Return the text of a record: of all parameters of both models, and how well they did, for the reader.
+
+    `motion` is the motion model; None where its parameters are not written.
+    """
+    checksum = values_checksum(stack, model, parameters, motion)
     return f"{stack} {model}: {_MARK} {version}, {judged}; checksum {checksum} of the values"
 
 
-def is_as_calibrated(text: str, stack: str, model: str, parameters: Any) -> bool:
+def is_as_calibrated(text: str, stack: str, model: str, parameters: Any, motion: Any) -> bool:
     """Whether the text of a file has a record of these very parameters: any change since then voids it."""
-    return values_checksum(stack, model, parameters) in _RECORD.findall(text)
+    return values_checksum(stack, model, parameters, motion) in _RECORD.findall(text)
 
 
-def values_checksum(stack: str, model: str, parameters: Any) -> str:
+def goes_with_moved_map(text: str) -> bool:
+    """Whether the last that beamfield noted in the text of a file is that its values were chosen for the moved map."""
+    noted = [line for line in text.splitlines() if _OF_MAP.search(line)]
+    return bool(noted) and f"for the map {MOVED_MAP}" in noted[-1]
+
+
+def values_checksum(stack: str, model: str, parameters: Any, motion: Any) -> str:
     """Return 16 hexadecimal digits that stand for parameters with the six digits that files hold."""
-    values = sorted(asdict(parameters).items())
+    values = sorted((asdict(parameters) | ({} if motion is None else asdict(motion))).items())
     words = [f"{name}={value:.6g}" if isinstance(value, float) else f"{name}={value!r}" for name, value in values]
     return hashlib.sha256("\n".join([stack, model, *words]).encode()).hexdigest()[:16]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import Field, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, replace
 from typing import Any, Literal, NamedTuple
 
 from beamfield.errors import FormatError, InvalidInputError
@@ -70,7 +70,7 @@ def typed_fields(file: StackFile, kind: type[Any], key: str = "") -> TypedValues
         # Files of a program that refuses unknown models were refused before; `file.model` says what theirs is.
         if entry is None or (is_model and not file.program.unknown_model):
             continue
-        value, wrong = _read(file, entry, item)
+        value, wrong = _read(file, entry, item.default)
         if wrong is None or wrong[0] == "integer":
             wrong = _refusal(kind, usable, item.name, value, is_model=is_model) or wrong
         if wrong is not None:
@@ -78,6 +78,15 @@ def typed_fields(file: StackFile, kind: type[Any], key: str = "") -> TypedValues
         if wrong is None or wrong[0] == "integer":
             usable[item.name] = value
     return TypedValues(kind(**usable), tuple(unusable))
+
+
+def wrong_types(file: StackFile) -> Iterator[tuple[Entry, Unusable]]:
+    """Yield the parameters that no model uses whose type the program refuses; none for one that declares no types."""
+    for name, default in file.program.declares.items() if file.is_typed else ():
+        entry = file.section.entries.get(name) or file.section.nested.get(name)
+        wrong = None if entry is None else _read(file, entry, default)[1]
+        if entry is not None and wrong is not None and wrong[0] in ("integer", "type"):
+            yield entry, Unusable(name, *wrong)
 
 
 def checked_values(file: StackFile) -> Any:
@@ -105,7 +114,7 @@ def _checked(file: StackFile, typed: TypedValues) -> Any:
     return typed.parameters
 
 
-def _read(file: StackFile, entry: Entry, item: Field[Any]) -> tuple[Any, tuple[Fault, str] | None]:
+def _read(file: StackFile, entry: Entry, default: Any) -> tuple[Any, tuple[Fault, str] | None]:
     """Return the value in the type of the parameter, and what is wrong with it, if anything."""
     if entry.filled_in and entry.value is None:
         return None, ("filled-in", f"is substituted at launch: {entry.filled_in!r}")
@@ -114,11 +123,11 @@ def _read(file: StackFile, entry: Entry, item: Field[Any]) -> tuple[Any, tuple[F
         message = "expected a number as ROS 1 reads it (1.0e-3: with a point and a signed exponent), got the text"
         return entry.value, ("type", f"{message} {text!r}")
     value = entry.value
-    if isinstance(item.default, int) and isinstance(value, float) and file.is_roscpp and math.isfinite(value):
+    if isinstance(default, int) and isinstance(value, float) and file.is_roscpp and math.isfinite(value):
         return math.floor(value + 0.5), None
-    if isinstance(item.default, bool) and not isinstance(value, (bool, str)) and file.is_roscpp:
+    if isinstance(default, bool) and not isinstance(value, (bool, str)) and file.is_roscpp:
         return value, ("type", f"expected true or false, got {shorten(value)}")
-    return _convert(entry, text, item, strict=file.is_typed)
+    return _convert(entry, text, default, strict=file.is_typed)
 
 
 def _is_text_to_ros_1(file: StackFile, entry: Entry, number: str) -> bool:
@@ -136,8 +145,8 @@ def _plain_text(file: StackFile, entry: Entry) -> str:
     return "" if file.section.syntax == "yaml" and text[:1] in ("'", '"') else text
 
 
-def _convert(entry: Entry, text: str, item: Field[Any], *, strict: bool) -> tuple[Any, tuple[Fault, str] | None]:
-    value, default = entry.value, item.default
+def _convert(entry: Entry, text: str, default: Any, *, strict: bool) -> tuple[Any, tuple[Fault, str] | None]:
+    value = entry.value
     if isinstance(default, bool):
         if isinstance(value, bool):
             return value, None

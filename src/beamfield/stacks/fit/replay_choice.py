@@ -31,7 +31,6 @@ NEAREST = 0.001
 # into the last; there the best with other values of the sensor runs as well.
 FIRST_SEEDS, KEPT, LAST = 2, 6, 3
 OFF = "off"
-OWN = Key(BEFORE, BEFORE, 0.0, BEFORE)
 # In this order the user's values come back if others are not better for sure, but for what `_known` returns. That
 # depends on the sensor's model, so that recovery comes last.
 PARTS = ("motion", "sensor", "recovery")
@@ -120,6 +119,8 @@ class ReplayChoice:
         By the names of a `Key`, as far as the finalist differs in it: the error without and with it.
     n_settings
         How many settings were tried.
+    moves_origin
+        Whether the map's origin was among what was chosen.
     """
 
     before: ReplaySetting
@@ -132,6 +133,7 @@ class ReplayChoice:
     cost: ReplayComparison
     parts: Mapping[str, ReplayComparison]
     n_settings: int
+    moves_origin: bool = False
 
     @property
     def chosen(self) -> ReplaySetting:
@@ -154,6 +156,8 @@ def choose_by_replay(
     options: ReplayOptions | None = None,
     progress: Progress | None = None,
     kept: KeptRuns | None = None,
+    *,
+    is_moved: bool = False,
 ) -> ReplayChoice:
     """Choose sensor parameters, motion noise, the map's origin and recovery by replaying the stack's filter.
 
@@ -164,7 +168,7 @@ def choose_by_replay(
     the log choose together, and keep the user's motion noise or sensor, and random poses in sums, if other values are
     not surely better. They judge crosswise: on each one the setting that the others choose runs against the user's. A
     few stretches disagree too much for half of them to choose and half to judge. If the choice is not better for sure,
-    it is made once more without its sensor.
+    it is made once more without its sensor, or without those that only some stretches choose.
 
     Parameters
     ----------
@@ -186,6 +190,8 @@ def choose_by_replay(
         Called with what is done, runs done and runs in all.
     kept
         Runs of an interrupted call with the same inputs; this one's are added.
+    is_moved
+        Whether the user's filter reads a map that is shifted already: then there is no choice.
     """
     options, kept = options or ReplayOptions(), kept or KeptRuns()
     recoveries = {BEFORE: before} | ({OFF: before.without_recovery()} if any(before.recovery_rates) else {})
@@ -198,9 +204,10 @@ def choose_by_replay(
             ),
         )
         for sensor, motion, shift, (recovery, of_recovery)
-        in product(sensors, motions.by_name, {0.0, shift}, recoveries.items())
+        in product(sensors, motions.by_name, {shift} if is_moved else {0.0, shift}, recoveries.items())
     }  # fmt: skip
-    own, calm = settings[OWN], [*recoveries][-1]
+    its = Key(BEFORE, BEFORE, shift if is_moved else 0.0, BEFORE)
+    own, calm = settings[its], [*recoveries][-1]
     raced = [one for one in settings.values() if (one.shift, one.recovery) == (shift, calm) or one is own]
     replays = Replays(stretches, grid, options.seeds(len(stretches)), options.seed, kept)
     safe = None if motions.safe is None else replace(before.motion, **motions.safe)
@@ -210,7 +217,7 @@ def choose_by_replay(
     def choose(asked: Sequence[int]) -> ReplaySetting:
         best = _of_equals(last, by_stretch[:, asked].mean(axis=1), safe)
         for part in PARTS:
-            plain = settings[best.key._replace(**{part: getattr(OWN, part)})]
+            plain = settings[best.key._replace(**{part: getattr(its, part)})]
             if part not in _known(best) and plain is not best and not _is_surely_cheaper(best, plain, replays, asked):
                 best = plain
         return best
@@ -218,17 +225,17 @@ def choose_by_replay(
     everywhere = range(len(stretches))
     best = finalist = choose(everywhere)
     for part in _known(best):
-        plain = settings[finalist.key._replace(**{part: getattr(OWN, part)})]
+        plain = settings[finalist.key._replace(**{part: getattr(its, part)})]
         finalist = _unless_surely_worse(finalist, plain, replays)
     crossed = [own] * len(stretches)
     if finalist is not own:
         known = {part: getattr(finalist.key, part) for part in _known(best)}
         choices = [choose([other for other in everywhere if other != i]) for i in everywhere]
         crossed = [one if one is own else settings[one.key._replace(**known)] for one in choices]
-    n_settings = len(raced) + (best.shift > 0.0)
+    n_settings = len(raced) + (best.shift != its.origin)
 
     def judge(finalist: ReplaySetting, crossed: Sequence[ReplaySetting]) -> ReplayChoice:
-        without = _without_each_part(settings, finalist, crossed)
+        without = _without_each_part(settings, its, finalist, crossed)
         judged = {one.key: one for one in (own, *crossed, *chain(*without.values()))}
         trials = replays.of(judged.values(), replays.n_seeds, "judging the choice", progress)
 
@@ -248,21 +255,24 @@ def choose_by_replay(
             cost=_compared(before_, after, costs),
             parts={name: _compared(rivals, after, clipped) for name, rivals in without_parts.items()},
             n_settings=n_settings,
+            moves_origin=bool(shift) and not is_moved,
         )
 
     choice = judge(finalist, crossed)
     for part in PARTS:
         # All stretches chose it; what the judgement does not confirm is chance.
         if part not in _known(choice.finalist) and choice.is_better and not _is_confirmed(choice, part):
-            key, *keys = (one.key._replace(**{part: getattr(OWN, part)}) for one in (choice.finalist, *crossed))
+            key, *keys = (one.key._replace(**{part: getattr(its, part)}) for one in (choice.finalist, *crossed))
             simpler = [settings[one] for one in keys]
             rest = judge(settings[key], simpler)
             choice, crossed = (rest, simpler) if rest.is_better else (choice, crossed)
-    if choice.is_better or finalist.sensor == BEFORE:
+    others = {one.sensor for one in crossed} - {BEFORE} if finalist.sensor == BEFORE else {finalist.sensor}
+    if choice.is_better or not others:
         return choice
-    # What is not better for sure, as a sensor that loses a few robots, must not hide what is.
-    fewer = {name: one for name, one in sensors.items() if name != finalist.sensor}
-    again = choose_by_replay(before, fewer, motions, shift, stretches, grid, options, progress, kept)
+    # What is not better for sure, as a sensor that loses a few robots, must not hide what is; nor must one that only
+    # some of the stretches choose.
+    fewer = {name: one for name, one in sensors.items() if name not in others}
+    again = choose_by_replay(before, fewer, motions, shift, stretches, grid, options, progress, kept, is_moved=is_moved)
     return replace(again, n_settings=choice.n_settings) if again.is_better else choice
 
 
@@ -356,11 +366,11 @@ def _unless_surely_worse(corrected: ReplaySetting, plain: ReplaySetting, replays
 
 
 def _without_each_part(
-    settings: Mapping[Key, ReplaySetting], finalist: ReplaySetting, crossed: Sequence[ReplaySetting]
+    settings: Mapping[Key, ReplaySetting], its: Key, finalist: ReplaySetting, crossed: Sequence[ReplaySetting]
 ) -> dict[str, list[ReplaySetting]]:
-    """Return settings with each part as it was before, as far as the finalist differs in it."""
-    changed = [name for name in Key._fields if getattr(finalist.key, name) != getattr(OWN, name)]
-    return {name: [settings[one.key._replace(**{name: getattr(OWN, name)})] for one in crossed] for name in changed}
+    """Return settings with each part as the user has it, as far as the finalist differs in it."""
+    changed = [name for name in Key._fields if getattr(finalist.key, name) != getattr(its, name)]
+    return {name: [settings[one.key._replace(**{name: getattr(its, name)})] for one in crossed] for name in changed}
 
 
 def _is_confirmed(choice: ReplayChoice, part: str) -> bool:

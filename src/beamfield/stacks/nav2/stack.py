@@ -8,7 +8,7 @@ from typing import Any
 from beamfield.finding import Finding
 from beamfield.stacks.amcl.filter import amcl_filter
 from beamfield.stacks.amcl.learned_motion import differential_alphas, omni_alphas
-from beamfield.stacks.amcl.parameters import ROS_1_NAMES
+from beamfield.stacks.amcl.parameters import DECLARED, ROS_1_NAMES
 from beamfield.stacks.amcl.stack import amcl_stack
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
@@ -68,6 +68,10 @@ NAV2 = amcl_stack(
     packages=(PACKAGE,),
     layout=("amcl:", "  ros__parameters:"),
     unknown_model="nav2 runs likelihood_field instead, without a message",
+    declares={
+        **DECLARED, "save_pose_rate": 0.5, "always_reset_initial_pose": False, "first_map_only": False,
+        "initial_pose.z": 0.0, "map_topic": "map",
+    },
     is_typed=True,
     filter=StackFilter(motion=Nav2Motion, parameters=AmclFilterParameters, build=amcl_filter),
     motion_key="robot_model_type",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -90,6 +90,8 @@ class ParameterSection:
         The package of the node, if the file says it (launch files).
     elsewhere
         (line, text) of what loads further parameters from somewhere else.
+    nested
+        Parameters in maps within a YAML section, by their names in ROS 2: "initial_pose.x".
     """
 
     path: Path
@@ -103,6 +105,7 @@ class ParameterSection:
     insert_after: str = ""
     package: str = ""
     elsewhere: tuple[tuple[int, str], ...] = ()
+    nested: Mapping[str, Entry] = field(default_factory=dict)
 
     @property
     def is_ros_2(self) -> bool:

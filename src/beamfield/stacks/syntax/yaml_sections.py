@@ -88,7 +88,18 @@ def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[st
         entries[name] = replace(entry, others=file.earlier.get((*place, name), ()))
     label = ".".join(str(key) for key in place)
     at, before, after = _insertion(file, place, entries)
-    return ParameterSection(file.path, "yaml", label, file.lines[place], file.source, entries, at, before, after)
+    return ParameterSection(file.path, "yaml", label, file.lines[place], file.source, entries, at, before, after,
+                            nested=_nested(file, place, values))  # fmt: skip
+
+
+def _nested(file: YamlFile, place: Place, values: dict[str, Any]) -> dict[str, Entry]:
+    """Return the parameters in maps of a section."""
+    found = {}
+    for key, inner in values.items():
+        for name in _scalars(inner) if isinstance(inner, dict) else ():
+            at = (*place, key, name)
+            found[f"{key}.{name}"] = Entry(f"{key}.{name}", inner[name], file.lines[at], *file.spans[at])
+    return found
 
 
 def _refuse_repeated(file: YamlFile, place: Place) -> None:

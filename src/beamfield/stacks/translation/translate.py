@@ -8,6 +8,7 @@ from typing import Any
 from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 from beamfield.models.beam_parameters import WEIGHTS
+from beamfield.stacks.files.calibration_record import MOVED_MAP, goes_with_moved_map
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.formula import Formula
@@ -83,7 +84,7 @@ def translate(
     stack = None if to == CHAPTER else stack_named(to)
     name = _target(file, stack, to, model)
     source = Formula(file.program, file.described_model, checked_values(file))
-    notes = [*_ignored(file), *([] if stack is None else random_poses(stack, name))]
+    notes = [*_ignored(file), *([] if stack is None else random_poses(stack, name)), *_moved_map(file, stack)]
     if stack is not None and source.stack.has_same_formulas(stack):
         values = _renamed(source, stack.model(name))
         return _translated(source, stack, name, values, max_range, resolution, (), notes)
@@ -100,6 +101,18 @@ def translate(
     notes += () if stack is None else stack.model(name).notes
     notes += map_notes(source.stack, stack)
     return _translated(source, stack, name, values, max_range, resolution, assumptions, notes)
+
+
+def _moved_map(file: StackFile, stack: Stack | None) -> list[str]:
+    """Report which map goes with values that were chosen for the moved one."""
+    if not goes_with_moved_map(file.section.text):
+        return []
+    if stack is not None and stack.half_cell_low:
+        return [f"chosen for the map {MOVED_MAP}"]
+    right = "beamfield" if stack is None else stack.title
+    return [
+        f"chosen with {MOVED_MAP}, which is for {file.program.title} alone: give {right} the map that it was made from"
+    ]
 
 
 def _target(file: StackFile, stack: Stack | None, to: str, model: str | None) -> str:

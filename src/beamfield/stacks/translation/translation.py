@@ -106,7 +106,9 @@ def random_poses(stack: Stack, model: str) -> list[str]:
 
 
 def above_one(stack: Stack, hit: float) -> list[str]:
-    """Report a peak against which a program would assert."""
+    """Report a peak against which a program would assert, or that it refuses."""
+    if hit > stack.limits.get("z_hit", (0.0, math.inf))[1]:
+        return [f"z_hit is above 1: {stack.title}'s node for ROS 2 refuses it and does not start"]
     if not stack.asserts_p or hit <= 1.0:
         return []
     return [f"z_hit is above 1: builds of {stack.name} with assertions (debug builds) stop"]

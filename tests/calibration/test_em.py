@@ -247,8 +247,8 @@ def test_readings_without_measurement_contribute_nothing_and_are_counted():
     without = [np.delete(column, holes) for column in (z, expected, weights)]
     same = learn_intrinsic_parameters(*without[:2], max_range, weights=without[2])
     assert (result.parameters, same.n_no_measurement) == (same.parameters, 0)
-    with pytest.raises(TooLittleDataError, match="of 40 beams 30 carry no measurement"):
-        learn_intrinsic_parameters([np.nan, np.nan, np.nan, 1.0] * 10, [1.0] * 40, 8.0)
+    with pytest.raises(TooLittleDataError, match=r"of 40 beams 30 carry no measurement.* and 4 have weight 0"):
+        learn_intrinsic_parameters([np.nan, np.nan, np.nan, 1.0] * 10, [1.0] * 40, 8.0, weights=[0.0] * 16 + [1.0] * 24)
 
 
 def test_all_readings_at_maximum_range():

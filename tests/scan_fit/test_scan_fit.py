@@ -261,6 +261,15 @@ class TestBadInput:
         x, y = office.to_map([col + 0.5, row + 0.5])
         assert judge_scan(model, fresh.scan(0), [x, y, 0.0], reference).problem == "inside a wall"
 
+    def test_a_scan_that_sees_only_unknown_space_is_not_said_to_lack_measurements(self, truth):
+        room = np.full((40, 40), -1)
+        room[20, 20:] = 100
+        model = BeamModel(OccupancyGrid.from_ros(room, 0.1), truth)
+        scan = Scan([1.0, 2.0], RangeFinder.from_bearings([-0.1, 0.1], max_range=8.0))
+        for pose, problem in (([1.0, 1.0, 0.0], "no mapped obstacle in view"), ([-1.0, 1.0, 0.0], "off the map")):
+            fit = judge_scan(model, scan, pose)
+            assert (fit.n_beams, fit.problem) == (0, problem)
+
     def test_silent_scans_of_a_log_get_no_p_value_and_no_evidence(self, model, reference, fresh):
         ranges, poses = np.array(fresh.ranges), np.array(fresh.poses)
         ranges[10], poses[20] = np.nan, np.nan

@@ -15,14 +15,14 @@ from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.scan_fit.lost import LostRates, lost_probability
 from beamfield.scan_fit.reference import ScanFitReference
 from beamfield.scan_fit.statistics import FitModel, FitStatistics, Progress, fit_statistics, grid_of
-from beamfield.sensors import Scan, SensorLog
+from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
 from beamfield.short_repr import short_repr
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# What can keep a scan from being judged, or make its p-value certain; in this order.
-PROBLEMS = ("", "no pose", "no measurement", "off the map", "inside a wall")
+# What can keep a scan from being judged, or make its p-value certain.
+PROBLEMS = ("", "no pose", "no measurement", "off the map", "inside a wall", "no mapped obstacle in view")
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class ScanFit:
     n_beams
         Beams that count.
     problem
-        "" or why the scan cannot be judged ("no measurement") or should not be believed ("off the map", "inside a
-        wall").
+        "" or why the scan cannot be judged ("no measurement"; "no mapped obstacle in view" if unknown space hides all
+        or, for a field, no reading ends anywhere) or should not be believed ("off the map", "inside a wall").
     """
 
     p_value: float
@@ -180,7 +180,7 @@ def judge_scan(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitR
     Returns
     -------
     ScanFit
-        With p-value NaN and `problem` set if no beam carries a measurement.
+        With p-value NaN and `problem` set if no beam counts.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def judge_scan(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitR
         reference.require_model(model, scan.finder.max_range)
     statistics = fit_statistics(model, scan.ranges[None, :], scan.finder, robot)
     p_value = float("nan") if reference is None else float(reference.p_values(statistics.misfit)[0])
-    problem = PROBLEMS[_problems(model, robot, scan.finder.mounts[0], statistics)[0]]
+    problem = PROBLEMS[_problems(model, robot, scan.ranges[None, :], scan.finder, statistics)[0]]
     values = {item.name: getattr(statistics, item.name)[0].item() for item in fields(statistics)}
     return ScanFit(p_value, **values, problem=problem)
 
@@ -261,18 +261,21 @@ def judge_log(
     misfit = statistics.misfit
     p_value = reference.own_p_values(misfit, log.stamps) if is_own else reference.p_values(misfit)
     lost = lost_probability(statistics.surprise, log.stamps, reference.evidence, rates)
-    problems = _problems(model, log.poses, log.finder.mounts[0], statistics)
+    problems = _problems(model, log.poses, log.ranges, log.finder, statistics)
     return ScanFits(log.stamps, statistics, p_value, lost, problems)
 
 
-def _problems(model: FitModel, poses: FloatArray, mount: FloatArray, statistics: FitStatistics) -> NDArray[np.int8]:
+def _problems(
+    model: FitModel, poses: FloatArray, ranges: FloatArray, finder: RangeFinder, statistics: FitStatistics
+) -> NDArray[np.int8]:
     posed = np.asarray(np.isfinite(poses).all(axis=1))
     problem = np.zeros(len(poses), np.int8)
+    problem[statistics.n_beams == 0] = PROBLEMS.index("no mapped obstacle in view")
     grid = grid_of(model)
     if grid is not None:
-        origins = compose(np.where(posed[:, None], poses, 0.0), mount)[:, :2]
+        origins = compose(np.where(posed[:, None], poses, 0.0), finder.mounts[0])[:, :2]
         problem[grid.look_up(grid.occupied, origins)] = PROBLEMS.index("inside a wall")
         problem[grid.look_up(np.zeros(grid.shape, bool), origins, outside=True)] = PROBLEMS.index("off the map")
-    problem[statistics.n_beams == 0] = PROBLEMS.index("no measurement")
+    problem[np.isnan(usable_ranges(ranges, finder)).all(axis=1)] = PROBLEMS.index("no measurement")
     problem[~posed] = PROBLEMS.index("no pose")
     return problem

@@ -198,7 +198,7 @@ def learn_intrinsic_parameters(
     if n_counted < FEWEST_BEAMS:
         raise TooLittleDataError(
             f"{n_counted} beams to learn from, need {FEWEST_BEAMS}: of {used.size} beams {n_no_measurement} carry no "
-            f"measurement and the rays of {n_excluded} hit nothing in the map"
+            f"measurement, the rays of {n_excluded} hit nothing in the map, and {z.size - n_counted} have weight 0"
         )
     _check_options(n_starts, tolerance, max_iterations)
     problem = learning_problem(

@@ -84,11 +84,8 @@ def test_a_recording_that_was_cut_off(tmp_path):
     refuse(active, r"cut off: `rosbag reindex log\.bag\.active` .* name it log\.bag$", read=read_log)
 
 
-@pytest.mark.parametrize(
-    ("profile", "pattern"),
-    [(b"ros1", "ROS 1: give the .bag that it was made from$"), (b"", "profile '', not 'ros2': `ros2 bag convert`")],
-)
-def test_an_mcap_of_others_than_ros2_is_not_called_damaged(profile, pattern, tmp_path):
+@pytest.mark.parametrize("profile", [b"ros1", b""])
+def test_an_mcap_of_others_than_ros2_is_not_called_damaged(profile, tmp_path):
     path = MiniBag("mcap").scan(1.0).write(tmp_path)
     file = storage_file(path)
     content = file.read_bytes()
@@ -97,7 +94,7 @@ def test_an_mcap_of_others_than_ros2_is_not_called_damaged(profile, pattern, tmp
     rest = length - len(header) - 4
     header += struct.pack("<I", rest) + bytes(rest)
     file.write_bytes(content[:17] + header + content[17 + length :])
-    refuse(path, pattern)
+    refuse(path, f"profile '{profile.decode()}', not 'ros2': give the ROS 1 .bag .* `ros2 bag convert`")
 
 
 def test_an_old_bag_version(tmp_path):

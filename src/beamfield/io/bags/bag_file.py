@@ -248,11 +248,11 @@ def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes]
 def _check_profile(path: Path, unpacked_from: Path) -> None:
     """Refuse an MCAP file whose messages may not be those of ROS 2, which is not damaged."""
     profile = mcap_profile(path)
-    if profile == "ros1":
-        raise FormatError(unpacked_from, "an MCAP file with messages of ROS 1: give the .bag that it was made from")
     if profile not in (None, "ros2"):
         raise FormatError(
-            unpacked_from, f"an MCAP file of profile {profile!r}, not 'ros2': `ros2 bag convert` writes it anew"
+            unpacked_from,
+            f"an MCAP file of profile {profile!r}, not 'ros2': give the ROS 1 .bag that it was made from; "
+            "if there is none, `ros2 bag convert` writes it anew",
         )
 
 

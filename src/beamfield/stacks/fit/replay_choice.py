@@ -71,7 +71,7 @@ class ReplayOptions:
 
 # By the model's kind: a cast ray costs some twenty times a look-up in a field.
 OF_FIELDS = ReplayOptions()
-OF_RAYS = ReplayOptions(runs=30, most_stretches=4, longest=12)
+OF_RAYS = ReplayOptions(runs=30, most_stretches=4)
 # Where a filter takes more scans than so many for each update of amcl, there are fewer runs, and shorter ones.
 AFFORDABLE_SCANS = 2.0
 

@@ -184,10 +184,10 @@ def test_what_is_asked_for_must_be_there(place: Path):
         shard.read(["range"], thin=0)
 
 
-def record(robot: str, first: float, last: float) -> RunRecord:
+def record(robot: str, first: float, last: float, sensor: str = "") -> RunRecord:
     return RunRecord(
-        run=f"{robot}{first}", robot=robot, site="hall", key="k", log=f"{robot}{first}.log", map="m", poses="",
-        log_sensor="", log_hash="h", status="used", first_stamp=first, last_stamp=last,
+        run=f"{robot}{first}{sensor}", robot=robot, site="hall", key="k", log=f"{robot}{first}.log", map="m", poses="",
+        log_sensor=sensor, log_hash="h", status="used", first_stamp=first, last_stamp=last,
         sensor={"mounts": [[0.0, 0.0, 0.0]], "max_range": 8.0},
         map_info=MapInfo(0.1, (0.0, 0.0, 0.0), (9, 9), "a" * 64),
     )  # fmt: skip
@@ -207,6 +207,14 @@ def test_clocks_that_jump_and_runs_at_the_same_time_are_found():
     assert "bob (hall)" in findings[1].text
     assert findings[2].values == {"runs": 1.0}
     assert f"{inside.log} and {good[0].log} of ann" in findings[2].text
+    front, rear, next_topic = (
+        record("dan", NOON, NOON + 60.0, "/front"), record("dan", NOON, NOON + 60.0, "/rear"),
+        record("dan", NOON + 60.0, NOON + 90.0, "/scan"),
+    )  # fmt: skip
+    assert not [*run_findings([*good, front, next_topic])]
+    (several,) = run_findings([*good, front, rear, next_topic])
+    assert several.name == "several-sensors"
+    assert "dan (hall), as '/front' and '/rear' of dan" in several.text
     assert not [*leftover_finding(())]
     (left,) = leftover_finding(("beams/a.parquet", "beams/b.parquet"))
     assert left.text == "2 files of beams belong to no run, as beams/a.parquet."

@@ -203,6 +203,12 @@ def test_what_cannot_be_used_is_left_out_with_the_reason_and_the_rest_goes_on(ow
     assert [run.partition("-")[0] for run in later.scanned] == ["missing", "cut"]
     assert later.records[4].is_used
     assert sum(record.robot == "cid" for record in later.catalogue.runs) == 5
+    # A row with a wrong name and map is corrected: no robot of the wrong name stays. Copies that are listed do.
+    text = (own / "fleet.csv").read_text().replace("cut.log,nowhere.yaml,cid", "cut.log,office.yaml,dan")
+    (own / "fleet.csv").write_text(text)
+    corrected = again(own)
+    assert corrected.records[8].is_used
+    assert [record.robot for record in corrected.catalogue.runs] == ["ann"] * 2 + ["bob"] * 2 + ["cid"] * 4 + ["dan"]
 
 
 def test_a_package_that_is_missing_is_no_fault_of_the_log(own: Path, monkeypatch):

@@ -1,4 +1,4 @@
-"""What the records of a fleet's runs say against each other: clocks that differ, runs at the same time."""
+"""What the records of a fleet's runs say against each other: clocks that differ, runs and sensors at the same time."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ def run_findings(records: Sequence[RunRecord]) -> Iterator[Finding]:
     yield from _no_date(used)
     yield from _clocks(dated)
     yield from _overlaps(dated)
+    yield from _several_sensors(dated)
 
 
 def leftover_finding(files: Sequence[str]) -> Iterator[Finding]:
@@ -88,6 +89,29 @@ def _overlaps(dated: Sequence[RunRecord]) -> Iterator[Finding]:
             why="A robot is in one place at a time: a log that is there in two formats counts twice, or a clock has "
             "jumped.",
             do="Take the copies out of the manifest and scan into a new catalogue, or give robots their own names.",
+        )
+
+
+def _several_sensors(dated: Sequence[RunRecord]) -> Iterator[Finding]:
+    found = []
+    ordered = sorted(dated, key=lambda one: (one.site, one.robot, one.first_stamp, one.run))
+    for _, runs in groupby(ordered, key=lambda one: (one.site, one.robot)):
+        ends: dict[str, RunRecord] = {}
+        for record in runs:
+            beside = [end for sensor, end in ends.items() if sensor != record.log_sensor]
+            found += [(end, record) for end in beside if record.first_stamp < end.last_stamp]
+            ends[record.log_sensor] = max(ends.get(record.log_sensor, record), record, key=lambda one: one.last_stamp)
+    if found:
+        first, second = found[0]
+        yield Finding(
+            "several-sensors",
+            "warning",
+            f"Runs of several sensors at the same time count as one robot: {_robots([one for _, one in found])}, "
+            f"as {first.log_sensor!r} and {second.log_sensor!r} of {first.robot}.",
+            {"runs": float(len(found))},
+            why="Their daily numbers are averaged: a fault of one of two sensors seems half as large, and which one "
+            "has it is not said.",
+            do="Give each sensor a robot of its own in the manifest, such as ann-front and ann-rear, and scan again.",
         )
 
 

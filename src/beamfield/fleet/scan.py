@@ -84,7 +84,8 @@ def scan_fleet(
     jobs = [ScanJob(row, opened.folder) for row in rows]
     contents = engine.map(content_of, jobs, progress=lambda done, n: report("looking for changes", done, n))
     before = read_records(opened.folder)
-    jobs = [_planned(job, content, before) for job, content in zip(jobs, contents, strict=True)]
+    listed = {_name(row) for row in rows}
+    jobs = [_planned(job, content, before, listed) for job, content in zip(jobs, contents, strict=True)]
     records = [_copy_of_another(job, jobs) or _known(job, before) for job in jobs]
     open_jobs = [job for job, record in zip(jobs, records, strict=True) if record is None]
     done = iter(
@@ -101,20 +102,31 @@ def scan_fleet(
     )  # fmt: skip
 
 
-def _planned(job: ScanJob, content: RunContent, before: list[RunRecord]) -> ScanJob:
+def _name(row: ManifestRow) -> tuple[str, str, str, str]:
+    return row.site, row.robot, log_address(row), row.sensor
+
+
+def _planned(
+    job: ScanJob, content: RunContent, before: list[RunRecord], listed: set[tuple[str, str, str, str]]
+) -> ScanJob:
     """Return the job with its content and the records that it replaces.
 
-    These are of the same robot's log of that name with other content, and of the same log under another robot's name.
+    These are of the same robot's log of that name with other content, and of the same log under another robot's name;
+    but not of a copy that the manifest lists.
     """
     row, planned = job.row, replace(job, content=content)
-    name = (row.site, row.robot, log_address(row), row.sensor)
+    name = _name(row)
     replaces = tuple(
         one
         for one in before
         if one.run != planned.run
         and (
-            (one.site, one.robot, one.log, one.log_sensor) == name
-            or (one.is_used and (one.log_hash, one.log_sensor) == (content.log_hash, row.sensor))
+            (known := (one.site, one.robot, one.log, one.log_sensor)) == name
+            or (
+                (one.is_used or known not in listed)
+                and (one.log_hash, one.log_sensor) == (content.log_hash, row.sensor)
+                and one.log_hash != ""
+            )
         )
     )
     return replace(planned, replaces=replaces)

@@ -49,7 +49,8 @@ class StalePlace:
     width, height
         Extent of its squares along x and y, metres.
     since
-        First day from which on it differs; None: from the first day that the place was seen.
+        First day from which on it differs, of 30 days that are tried at most; None: from the first day that the place
+        was seen.
     rate
         Share of the beams since then with the chance to tell that differ.
     readings, beams

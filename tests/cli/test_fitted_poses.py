@@ -156,8 +156,9 @@ def test_check_of_a_log_whose_robot_was_lost_says_where_and_judges_its_own_poses
 def test_localize_is_not_judged_by_poses_that_are_lost(world: Path, lost: str, tmp_path: Path, capsys):
     assert on_map("localize", world, lost, tmp_path / "out") == 0
     assert "The log's own poses leave the fitted ones" in capsys.readouterr().err
-    errors = json.loads((tmp_path / "out" / "localization.json").read_text())["errors"]
-    assert errors["mean"] < 0.2
+    document = json.loads((tmp_path / "out" / "localization.json").read_text())
+    assert document["errors"]["mean"] < 0.2
+    assert "own-poses-lost" in [one["name"] for one in document["findings"]]
 
 
 @pytest.mark.usefixtures("fitted_once")

@@ -35,6 +35,7 @@ from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError,
 
 if TYPE_CHECKING:
     from beamfield.cli.film import Film
+    from beamfield.finding import Finding
     from beamfield.io.recordings.recording import Recording
     from beamfield.localization.particle_filter import Update
     from beamfield.localization.replay import PoseBelief, ReplayErrors
@@ -107,10 +108,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with options.progress(arguments) as progress:
         grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)
         _check_inputs(sensor, grid, arguments)
-        sensor, more = _with_poses_that_hold(sensor, grid, arguments, progress)
+        sensor, of_poses = _with_poses_that_hold(sensor, grid, arguments, progress)
         log, start = _start(sensor, grid, arguments)
         run_filter, which, left_out = _filter(log, grid, start, arguments)
-        notes = (*notes, *more, *left_out)
+        notes = (*notes, *(finding.full_text for finding in of_poses), *left_out)
         film = Film(len(log), arguments.seed)
 
         progress("localizing", 0, len(log))
@@ -127,7 +128,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         found = replace(found, findings=worst_first((*found.findings, *time_gaps(log.stamps), *judged)))
         errors = _judged(found, log, 0 if lost is not None and lost.name == "robot-lost" else since)
         progress("drawing", 0, 1)
-        document = {"provenance": provenance(arguments), "filter": which, **run_facts(found, errors, log, start)}
+        facts = run_facts(found, errors, log, start, of_poses)
+        document = {"provenance": provenance(arguments), "filter": which, **facts}
         names, recorded = _write(found, log, grid, film, document, arguments)
     notes = (*notes, *(finding.full_text for finding in found.findings))
     seen_names = {finding.name for finding in found.findings}
@@ -141,15 +143,14 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 def _with_poses_that_hold(
     sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress
-) -> tuple[SensorLog, tuple[str, ...]]:
+) -> tuple[SensorLog, tuple[Finding, ...]]:
     """Return the log, with poses fitted to the map where its own are refuted, and what refutes them."""
     from beamfield.cli.fitted_poses import REFUTED, posed_log
 
     if not sensor.has_poses:
         return sensor, ()
     log, fitted, found = posed_log(sensor, grid, arguments, progress, arguments.log, arguments.poses, None)
-    told = found if fitted is not None else (one for one in found if one.name in REFUTED)
-    return log, tuple(one.full_text for one in told)
+    return log, found if fitted is not None else tuple(one for one in found if one.name in REFUTED)
 
 
 def _check_inputs(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from beamfield.cli.wording import pose_text
+from beamfield.finding import Finding
 from beamfield.localization.particle_filter import FOUND_SPREAD, FOUND_TURN
 from beamfield.localization.replay import PoseBelief, ReplayErrors
 from beamfield.localization.scan_localizer import Localization
@@ -20,9 +21,13 @@ FOUND_WITHIN = 0.5
 
 
 def run_facts(
-    found: Localization, errors: ReplayErrors | None, log: SensorLog, start: PoseBelief | None
-) -> dict[str, Any]:
-    """Return the numbers of a run for localization.json; where it started is None if anywhere."""
+    found: Localization, errors: ReplayErrors | None, log: SensorLog, start: PoseBelief | None,
+    of_poses: tuple[Finding, ...],
+) -> dict[str, Any]:  # fmt: skip
+    """Return the numbers of a run for localization.json; where it started is None if anywhere.
+
+    `of_poses` are findings on the reference poses.
+    """
     spread = np.sqrt(np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2))
     is_sure = not any(finding.name in ("robot-lost", "not-found") for finding in found.findings)
     sure = sure_from(found) if is_sure else None
@@ -39,7 +44,7 @@ def run_facts(
         "sure_after_s": None if sure is None else float(log.stamps[sure] - log.stamps[0]),
         "errors": None if errors is None else asdict(errors),
         "found_after_s": None if errors is None else _found_after(found, log),
-        "findings": [asdict(finding) for finding in found.findings],
+        "findings": [asdict(finding) for finding in (*of_poses, *found.findings)],
     }
 
 

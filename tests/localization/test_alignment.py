@@ -183,6 +183,7 @@ def test_a_corridor_leaves_its_axis_undetermined_and_untouched(heading: float, r
     start = MOTION + np.array((0.1, 0.1, 0.05))
     result = align(scan, onto, start)
     assert result.problem == "undetermined"
+    assert "deg (standard, the 100 m along undetermined directions in them)" in result.summary()
     assert result.summary().endswith("problem   undetermined")
     assert result.undetermined.shape == (1, 3)
     axis = np.array([np.cos(-heading), np.sin(-heading)])

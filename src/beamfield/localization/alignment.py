@@ -69,7 +69,8 @@ class AlignmentResult:
         done.
     covariance
         (3, 3) of x, y, theta in the field's frame; see `align` for the model. Always finite and positive definite; the
-        standard deviation along undetermined directions is 100 m (of end points).
+        standard deviation along undetermined directions is 100 m (of end points). They are hardly ever along an axis,
+        so their 100 m show in all of the diagonal: fuse the whole matrix with what is known along them.
     score
         Sum over end points of log(field / unseen), nats: an end point that the field says nothing about adds nothing.
     overlap
@@ -113,9 +114,10 @@ class AlignmentResult:
         """Return the pose with its standard errors, how well it fits, and what is wrong with it, in four lines."""
         x, y, theta = self.pose
         errors = np.sqrt(np.diag(self.covariance))
+        held = ", the 100 m along undetermined directions in them" if len(self.undetermined) else ""
         return (
             f"pose      {x:.3f} m, {y:.3f} m, {np.degrees(theta):.2f} deg\n"
-            f"errors    {errors[0]:.3f} m, {errors[1]:.3f} m, {np.degrees(errors[2]):.2f} deg (standard)\n"
+            f"errors    {errors[0]:.3f} m, {errors[1]:.3f} m, {np.degrees(errors[2]):.2f} deg (standard{held})\n"
             f"fit       {self.n_matched:.0f} end points on surfaces, {self.spread:.3f} m off, {self.overlap:.0%} seen\n"
             f"problem   {self.problem or 'none'}"
         )

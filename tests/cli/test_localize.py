@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from beamfield.cli.film import Film
+from beamfield.cli.inputs import OF_MOVED_MAP
 from beamfield.cli.main import main
 from beamfield.errors import TrajectoryNotFoundError
 from beamfield.io.bags.writer import write_bag
@@ -216,9 +217,28 @@ def test_a_file_of_a_stack_runs_that_stacks_filter(folder, capsys):
     assert found["errors"]["mean"] < 0.2
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_a_file_is_read_as_the_stacks_that_is_named_and_says_what_it_was_made_for(folder, tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    path.write_text((folder / "nav2.yaml").read_text() + "\n# chosen for the map amcl_map.yaml\n")
+    assert run(folder, "--params", str(path), "--json") == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["filter"].startswith("that of nav2")
+    assert "read as nav2's; pass --stack beluga if that is what the robot runs" in said.err
+    assert "mine.yaml: its values were chosen for the map amcl_map.yaml" in said.err
+    assert run(folder, "--params", str(path), "--json", "--stack", "beluga") == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["filter"].startswith("that of Beluga")
+    assert "read as" not in said.err
+    (folder / "amcl_map.yaml").write_text(f"# map.yaml {OF_MOVED_MAP} 0.05 m\n" + (folder / "map.yaml").read_text())
+    assert run(folder, "--params", str(path), map_name="amcl_map.yaml") == 0
+    assert "its values were chosen" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "what"),
     [
+        (("--stack", "nav2"), "--stack: says whose file --params is"),
         (("--params", "nav2.yaml", "--animation", "way.gif"), "--animation: for our own filter"),
         (("--params", "nav2.yaml", "--recovery"), "--recovery: for our own filter"),
         (("--start", "1", "1", "0", "--global"), "not allowed with"),

@@ -9,6 +9,7 @@ import pytest
 from beamfield.stacks.files.calibration_record import (
     goes_with_moved_map,
     is_as_calibrated,
+    is_noted,
     record_text,
     with_record,
 )
@@ -66,3 +67,22 @@ def test_a_record_is_of_one_stack_and_model():
 )
 def test_of_several_records_the_last_says_which_map_the_values_are_for(text, moved):
     assert goes_with_moved_map(text) is moved
+
+
+OF_VALUES = (
+    "nav2 beam: calibrated by beamfield 1, 90% of 9 held-out windows covered; checksum 0123456789abcdef of the values"
+)
+
+
+@pytest.mark.parametrize(
+    ("record", "noted"),
+    [
+        ("", True),
+        (OF_VALUES.replace("90% of 9", "88% of 17"), True),
+        (OF_VALUES.replace("0123", "3210"), False),
+        (f"{OF_VALUES}; chosen for the map amcl_map.yaml", False),
+        ("chosen for the map amcl_map.yaml", False),
+    ],
+)
+def test_another_log_that_confirms_the_same_values_for_the_same_map_has_nothing_to_note(record, noted):
+    assert is_noted(record, f"amcl: {{}}\n# {OF_VALUES}\n") is noted

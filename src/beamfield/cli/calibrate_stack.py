@@ -17,7 +17,7 @@ from beamfield.cli.calibrate_replay import replay_fit, shifted_map_file
 from beamfield.cli.report_part import StackPart
 from beamfield.cli.terminal import complain, line_width
 from beamfield.errors import InvalidInputError, TooLittleDataError
-from beamfield.stacks.files.calibration_record import MOVED_MAP, goes_with_moved_map
+from beamfield.stacks.files.calibration_record import MOVED_MAP, goes_with_moved_map, is_noted
 
 if TYPE_CHECKING:
     from beamfield.calibration.calibrate import Calibration
@@ -247,7 +247,7 @@ def write_patch(file: StackFile, fitted: StackPart) -> tuple[str, Path | None]:
     left = f"left {file.section.path} as it was"
     if fitted.doubt:
         return "; what would have changed is in ".join([left, *fitted.files][:2]), None
-    if not values and fitted.record in file.section.text:
+    if not values and is_noted(fitted.record, file.section.text):
         return left, None
     backup = write_values(file.section, values, record=fitted.record)
     changed = f"changed {', '.join(values)} in" if values else "noted that its values were checked in"

@@ -57,13 +57,17 @@ def read_walls(arguments: argparse.Namespace) -> OccupancyGrid:
     return grid
 
 
+def is_moved_map(path: Path) -> bool:
+    """Whether this is the file of a map that calibration wrote for amcl alone."""
+    if path.suffix not in (".yaml", ".yml") or not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return OF_MOVED_MAP.encode() in stream.readline(_LONGEST_LINE)
+
+
 def refuse_moved_map(path: Path | None) -> None:
     """Refuse a map for amcl alone where the true one is wanted: all poses would be half a cell off."""
-    if path is None or path.suffix not in (".yaml", ".yml") or not path.is_file():
-        return
-    with path.open("rb") as stream:
-        begin = stream.readline(_LONGEST_LINE)
-    if OF_MOVED_MAP.encode() in begin:
+    if path is not None and is_moved_map(path):
         raise FormatError(
             path, "this is the map that beamfield calibrate wrote for amcl alone, half a cell off for everything else: "
             "give the map that it was made from",

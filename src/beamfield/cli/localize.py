@@ -65,6 +65,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                         help="measurement model (default: likelihood_field)")  # fmt: skip
     options.add_params(parser, "a likelihood_field.yaml or beam_model.yaml from beamfield calibrate (default: typical "
                        "values), or a file of nav2 or another stack, whose filter then runs")  # fmt: skip
+    parser.add_argument("--stack", metavar="NAME",
+                        help="whose file it is: nav2, ros1, beluga, mrpt or f1tenth (default: find out)")  # fmt: skip
     options.add_range_table(parser)
     options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
     parser.add_argument("--animation", type=Path, metavar="FILE", help="write the particles over time as a .gif")
@@ -198,7 +200,8 @@ def _filter(
     from beamfield.cli.localize_stack import is_stack_file, stack_filter
 
     if is_stack_file(arguments.params):
-        return *stack_filter(log, grid, start, arguments), []
+        return stack_filter(log, grid, start, arguments)
+    options.refuse(arguments, ("stack",), "says whose file --params is, which must be one of another program")
     model, notes = _model(log, grid, arguments)
     localizer, rng = _localizer(model, grid, arguments), np.random.default_rng(arguments.seed)
 

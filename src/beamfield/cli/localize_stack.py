@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli import options
+from beamfield.cli.inputs import is_moved_map
 from beamfield.errors import FormatError, InvalidInputError
 
 if TYPE_CHECKING:
@@ -39,25 +40,31 @@ def is_stack_file(path: Path | None) -> bool:
 
 def stack_filter(
     log: SensorLog, grid: OccupancyGrid, start: PoseBelief | None, arguments: argparse.Namespace
-) -> tuple[Callable[[Film, Callable[[int], None]], Localization], str]:
-    """Return what runs the filter that --params sets up over the log, and which filter that is, in words."""
+) -> tuple[Callable[[Film, Callable[[int], None]], Localization], str, list[str]]:
+    """Return what runs the filter that --params sets up over the log; which filter that is, in words; and notes."""
     import numpy as np
 
     from beamfield.calibration.reference_checks import jump_findings
     from beamfield.localization.scan_localizer import Localization
+    from beamfield.stacks.files.calibration_record import MOVED_MAP, goes_with_moved_map
     from beamfield.stacks.files.filter_file import read_filter_settings
     from beamfield.stacks.files.parameter_file import read_stack_file
 
     options.refuse(arguments, _OF_OUR_FILTER, f"for our own filter; {arguments.params} sets up a robot's own")
-    file = read_stack_file(arguments.params)
+    file = read_stack_file(arguments.params, stack=arguments.stack)
     settings = read_filter_settings(file)
     try:
         replayed = settings.filter(grid)
     except InvalidInputError as error:
         raise FormatError(arguments.map, str(error).removeprefix("grid: ")) from error
     which = f"that of {file.program.title}, emulated, with its model {settings.model}"
-    if not file.stack_is_certain:
-        which += f" (the file may be one of {' or '.join(name for name in file.possible if name != file.stack)})"
+    notes = [f"{arguments.params}: {file.uncertainty}"] if file.uncertainty else []
+    if goes_with_moved_map(file.section.text) and not is_moved_map(arguments.map):
+        notes.append(
+            f"{arguments.params}: its values were chosen for the map {MOVED_MAP}, and run on {arguments.map} here; "
+            "beamfield evaluate takes both maps (--filter-maps)"
+        )
+    notes += file.unread
 
     def run(film: Film, step: Callable[[int], None]) -> Localization:
         def watch(i: int, poses: FloatArray, weights: FloatArray) -> None:
@@ -68,4 +75,4 @@ def stack_filter(
         findings = tuple(jump_findings(log))
         return Localization(**{item.name: getattr(found, item.name) for item in fields(found)}, findings=findings)
 
-    return run, which
+    return run, which, notes

@@ -31,6 +31,12 @@ def is_as_calibrated(text: str, stack: str, model: str, parameters: Any, motion:
     return values_checksum(stack, model, parameters, motion) in _RECORD.findall(text)
 
 
+def is_noted(record: str, text: str) -> bool:
+    """Whether the text of a file says already what a record would: of these values, and chosen for this map."""
+    same_values = set(_RECORD.findall(record)) <= set(_RECORD.findall(text))
+    return not record or (same_values and goes_with_moved_map(record) == goes_with_moved_map(text))
+
+
 def goes_with_moved_map(text: str) -> bool:
     """Whether the last that beamfield noted in the text of a file is that its values were chosen for the moved map."""
     noted = [line for line in text.splitlines() if _OF_MAP.search(line)]

@@ -145,6 +145,12 @@ def alphas(value):
     return {**{f"alpha{i}": value for i in range(1, 5)}, "update_min_d": 0.01, "update_min_a": 0.01}
 
 
+def diff_alphas(value):
+    """Return the same for ROS 1's "diff", whose noise grows with the square of the step: steps here are of 0.05 m."""
+    noise = {f"odom_{name}" if "alpha" in name else name: each for name, each in alphas(value).items()}
+    return {"stack": "ros1", "laser_z_hit": 0.9, **noise}
+
+
 @cache
 def noisy_drive():
     """Return 400 steps whose odometry errs with all alphas 0.03."""
@@ -185,6 +191,9 @@ FINDINGS = {
     "filled-in-at-start": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
     "filled-in-at-start of YAML": ({"z_rand": "$(var z_rand)"}, {}, {"z_rand": 0.5}, {}),
     "motion-noise-wide": (alphas(0.9), {"log": noisy_drive}, alphas(0.03), {"log": noisy_drive}),
+    "motion-noise-wide where the least safe noise is wider": (
+        diff_alphas(2.0), {"log": drive_in_a_circle}, diff_alphas(0.5), {"log": drive_in_a_circle}
+    ),
     "motion-noise-narrow": (alphas(0.001), {"log": noisy_drive}, alphas(0.03), {"log": noisy_drive}),
     "no-motion-noise": (alphas(0.0), {}, alphas(0.001), {}),
     "moves-sideways": (alphas(0.03), {"log": sideways_drive}, alphas(0.03), {"log": noisy_drive}),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from beamfield.calibration.odometry.windows import update_scans
 from beamfield.errors import FormatError, TooLittleDataError
 from beamfield.finding import Finding
-from beamfield.geometry import between
+from beamfield.geometry import FloatArray, between
 from beamfield.models.differential_motion import DifferentialMotion
 from beamfield.models.motion import OdometryMotion
 from beamfield.stacks.doctor.subject import Subject
@@ -60,7 +61,9 @@ def motion_noise(subject: Subject) -> Iterator[Finding]:
     values = ", ".join(f"{subject.file.name_in_file(name)} = {value:g}" for name, value in advised.items())
     do = f"try {values} in beamfield evaluate, or let beamfield calibrate --stack choose by replay"
     own = subject.file.name_in_file(next(iter(advised)))
-    if level < WIDE:
+    safe = _formula(replace(settings, motion=replace(settings.motion, **advised)))
+    # The least that is safe may be more, where steps are short and the formula's noise grows with their square.
+    if level < WIDE and safe is not None and _size(windows.covariance(safe)[kept]) < _size(unit):
         times = min(1.0 / math.sqrt(level), MOST_TIMES)
         more = " or more" if times == MOST_TIMES else ""
         yield subject.finding(
@@ -77,6 +80,11 @@ def motion_noise(subject: Subject) -> Iterator[Finding]:
             "no particle goes where the robot went: the filter loses it after a slip or a turn",
             do, own=own, values={"times": times, **advised},
         )  # fmt: skip
+
+
+def _size(covariances: FloatArray) -> float:
+    """Return the sum of all variances of covariances (w, 3, 3)."""
+    return float(np.trace(covariances.sum(axis=0)))
 
 
 def no_motion_noise(subject: Subject) -> Iterator[Finding]:

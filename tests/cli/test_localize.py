@@ -190,7 +190,7 @@ def test_a_start_given_is_where_it_starts(folder, capsys, drive):
     "words",
     [
         ("--params", "beam_model.yaml", "--model", "beam", "--beams", "15"),
-        ("--params", "beam_model.yaml", "--leave-out-short", "--recovery", "--beams", "0", "--odometry-error", "2"),
+        ("--params", "beam_model.yaml", "--leave-out-short", "--beams", "0", "--odometry-error", "2"),
         ("--params", "likelihood_field.yaml", "--exponent", "0.1"),
     ],
 )
@@ -240,7 +240,7 @@ def test_a_file_is_read_as_the_stacks_that_is_named_and_says_what_it_was_made_fo
     [
         (("--stack", "nav2"), "--stack: says whose file --params is"),
         (("--params", "nav2.yaml", "--animation", "way.gif"), "--animation: for our own filter"),
-        (("--params", "nav2.yaml", "--recovery"), "--recovery: for our own filter"),
+        (("--params", "nav2.yaml", "--leave-out-short"), "--leave-out-short: for our own filter"),
         (("--start", "1", "1", "0", "--global"), "not allowed with"),
         (("--animation", "film.mp4"), ".gif"),
         (("--model", "ray"), "likelihood_field, beam"),

@@ -49,7 +49,7 @@ DEFAULT_BEAMS = 60
 # What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
 # Measured in docs/evidence/localization.md.
 INDEPENDENT_BEAMS = 1.8
-PARTICLES, PARTICLES_RECOVERING = 2000, 50_000
+PARTICLES = 2000
 
 # Findings after which the poses are not to be trusted.
 PROBLEMS = {"robot-lost": "the robot is most likely lost", "not-found": "the robot has not been found for sure"}
@@ -86,7 +86,6 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                        "the file says)")  # fmt: skip
     group.add_argument("--odometry-error", type=positive, metavar="K",
                        help="the odometry errs K times as much as usual (default: 1)")  # fmt: skip
-    group.add_argument("--recovery", action="store_true", help="find a robot again that was carried elsewhere")
     group.add_argument("--leave-out-short", action="store_true", help="leave out readings that are likely of people")
     add_recordings(parser)
     options.add_log(parser)
@@ -217,19 +216,11 @@ def _filter(
 
 def _localizer(model: Any, grid: OccupancyGrid, arguments: argparse.Namespace) -> ScanLocalizer:
     from beamfield.localization.particle_filter import FilterOptions
-    from beamfield.localization.recovery import PosesFromScan, Recovery
-    from beamfield.localization.resampling import KldSampling
     from beamfield.localization.scan_localizer import ScanLocalizer
     from beamfield.localization.short_readings import ShortReadings
     from beamfield.models.gaussian_motion import USUAL_MOTION, GaussianMotion
 
     filter_options = FilterOptions(n_particles=arguments.particles or PARTICLES)
-    if arguments.recovery:
-        filter_options = FilterOptions(
-            n_particles=max(filter_options.n_particles, PARTICLES_RECOVERING),
-            kld=KldSampling(least=filter_options.n_particles),
-            recovery=Recovery(readings=model.exponent * model.n_beams),
-        )
     times = arguments.odometry_error or 1.0
     motion = GaussianMotion(**{name: times * value for name, value in asdict(USUAL_MOTION).items()})
     return ScanLocalizer(
@@ -237,7 +228,6 @@ def _localizer(model: Any, grid: OccupancyGrid, arguments: argparse.Namespace) -
         model,
         motion,
         filter_options,
-        source=PosesFromScan(grid, model) if arguments.recovery else None,
         short_readings=ShortReadings(grid, sigma=model.parameters.sigma_hit) if arguments.leave_out_short else None,
     )
 

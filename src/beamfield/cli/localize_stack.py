@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # What a stack's parameter file says itself, or its filter does not have.
 _OF_OUR_FILTER = (
-    "model", "particles", "beams", "exponent", "odometry_error", "recovery", "leave_out_short", "animation",
+    "model", "particles", "beams", "exponent", "odometry_error", "leave_out_short", "animation",
     "range_table",
 )  # fmt: skip
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -18,10 +18,11 @@ from beamfield.localization.coarse_model import CoarseModel
 from beamfield.localization.particle_filter import FilterOptions, ParticleFilter, Update
 from beamfield.localization.particles import Estimate, belief_poses, free_poses
 from beamfield.localization.recovery import PoseSource
+from beamfield.localization.relocalization import Relocalizer
 from beamfield.localization.replay import PoseBelief, Replay
 from beamfield.localization.short_readings import ShortReadings
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.ray_agreement import scan_agreement
+from beamfield.maps.ray_agreement import agreement_at
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.base import MeasurementModel
 from beamfield.models.motion import MotionModel
@@ -49,8 +50,8 @@ class Localization(Replay):
     findings
         What was wrong with the log and what was done about it.
     searched_from
-        Index of the scan from which on the robot was searched for the last time; 0 if the first search, or the start,
-        was not given up.
+        Index of the scan from which on the robot was searched for the last time, or found elsewhere; 0 if the first
+        search, or the start, was not given up.
     """
 
     findings: tuple[Finding, ...] = ()
@@ -82,6 +83,8 @@ class ScanLocalizer:
         Where poses come from in a recovery.
     short_readings
         Leaves out readings of people; None uses all.
+    relocalize
+        Whether a robot whose start is known is searched for on the whole map where scans contradict its place.
 
     Raises
     ------
@@ -97,6 +100,7 @@ class ScanLocalizer:
     coarse: MeasurementModel[Scan] | None = field(default=None, kw_only=True)
     source: PoseSource[Scan] | None = field(default=None, kw_only=True)
     short_readings: ShortReadings | None = field(default=None, kw_only=True)
+    relocalize: bool = field(default=True, kw_only=True)
 
     __repr__ = short_repr
 
@@ -117,7 +121,8 @@ class ScanLocalizer:
             With odometry; the reference poses are not looked at.
         start
             Where the robot is at the first scan; None if it can be anywhere in the map's free cells. A place that is
-            found, but that scans of a laser then contradict, is given up, and the robot searched for again.
+            found, but that scans of a laser then contradict, is given up, and the robot searched for again; a place
+            that was given is kept until another proves better (`Relocalizer`).
         rng
             Source of all randomness.
         watch
@@ -138,7 +143,9 @@ class ScanLocalizer:
             raise TooLittleDataError("log: no scan has odometry, which moves the particles; expected some")
         own, coarse = self._filter(rng), None if start is not None else self.coarse or CoarseModel(self.grid)
         own.start(self._cloud(start, rng), coarse=coarse)
-        place, searched_from = _FoundPlace(log, self.grid), 0
+        place, searched_from = _FoundPlace(self.grid), 0
+        again = self._relocalizer(rng) if start is not None and self.relocalize and self.grid.free.any() else None
+        relocalized = list[float]()
         poses: FloatArray = np.full((len(log), 3), np.nan)
         # Of the clouds, which are large, mean and covariance are kept.
         used, clouds, sizes, seconds = [], list[Estimate](), [], []
@@ -161,12 +168,19 @@ class ScanLocalizer:
                 given = i
                 begin = time.thread_time()
                 update = own.update(scan, log.odometry[i], scan.stamp)
-                if update is not None and coarse is not None and own.is_found and place.is_wrong(i, own.pose):
+                if update is not None and coarse is not None and own.is_found and place.is_wrong(scan, own.pose):
                     counts["searched-again"] += 1
                     counts["odometry-jumps"] += own.odometry_jumps
                     own.start(self._cloud(None, rng), coarse=coarse)
                     update = own.update(scan, log.odometry[i], scan.stamp)
-                    place, searched_from = _FoundPlace(log, self.grid), i
+                    place, searched_from = _FoundPlace(self.grid), i
+                if again is not None:
+                    before = own
+                    own, update = again.follow(own, update, scan, log.odometry[i], scan.stamp)
+                    if own is not before:
+                        searched_from = i
+                        relocalized.append(float(scan.stamp - log.stamps[0]))
+                        counts["odometry-jumps"] += before.odometry_jumps - own.odometry_jumps
                 if update is not None:
                     used.append(i)
                     seconds.append(time.thread_time() - begin)
@@ -178,7 +192,8 @@ class ScanLocalizer:
             poses[i] = own.pose
         counts["odometry-jumps"] += own.odometry_jumps
         proving = JUDGED_SCANS if searched_from > 0 else PROVING_SCANS
-        is_late = own.is_found and coarse is not None and not place.is_proven(proving)
+        is_judged = own.is_found and coarse is not None and log.finder.opening_angle == 0.0
+        is_late = is_judged and place.n_scans < proving
         counts["found-late"] = place.n_scans if is_late else 0
         counts["not-found"] = int(not own.is_found or (is_late and place.n_scans == 0))
         counts["stamps-back"] = int((np.diff(log.stamps) < 0.0).sum())
@@ -189,13 +204,24 @@ class ScanLocalizer:
             np.reshape([cloud.covariance for cloud in clouds], (-1, 3, 3)),
             np.array(sizes, np.int64),
             np.array(seconds),
-            findings=_findings(counts, len(log)),
+            findings=_findings(counts, len(log), relocalized),
             searched_from=searched_from,
         )
 
     def _filter(self, rng: np.random.Generator | int) -> ParticleFilter[Scan]:
         return ParticleFilter(
             self.model, self.motion, self.options, source=self.source, short_readings=self.short_readings, rng=rng
+        )
+
+    def _relocalizer(self, rng: np.random.Generator) -> Relocalizer:
+        # Searches draw from a source of their own: a robot that is followed has the same poses without them.
+        source = rng.spawn(1)[0]
+        return Relocalizer(
+            self.grid,
+            lambda: self._filter(source),
+            coarse=self.coarse,
+            n_anywhere=max(self.n_anywhere, self.options.n_particles),
+            rng=source,
         )
 
     def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> FloatArray:
@@ -207,8 +233,8 @@ class ScanLocalizer:
 class _FoundPlace:
     """Tells by the scans since a robot was found whether it is there."""
 
-    def __init__(self, log: SensorLog, grid: OccupancyGrid) -> None:
-        self._log, self._grid = log, grid
+    def __init__(self, grid: OccupancyGrid) -> None:
+        self._grid = grid
         self._shares = deque[float](maxlen=JUDGED_SCANS)
 
     @property
@@ -220,14 +246,10 @@ class _FoundPlace:
     def _caster(self) -> RayCaster:
         return RayCaster(self._grid)
 
-    def is_proven(self, n_scans: int) -> bool:
-        """Return whether so many scans have not contradicted it; cones of a sonar tell nothing."""
-        return self._log.finder.opening_angle > 0.0 or self.n_scans >= n_scans
-
-    def is_wrong(self, i: int, pose: FloatArray) -> bool:
-        """Return whether the scans contradict the place, the i-th one taken at a pose included."""
-        share = float(scan_agreement(self._log[i : i + 1], self._grid, pose[None], caster=self._caster)[0])
-        if np.isfinite(share) and self._log.finder.opening_angle == 0.0:
+    def is_wrong(self, scan: Scan, pose: FloatArray) -> bool:
+        """Return whether the scans contradict the place, one taken at a pose included; cones of a sonar never do."""
+        share = agreement_at(scan, self._caster, pose)
+        if np.isfinite(share) and scan.finder.opening_angle == 0.0:
             self._shares.append(share)
         return self.n_scans == JUDGED_SCANS and float(np.mean(self._shares)) < CONTRADICTED
 
@@ -282,7 +304,7 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
 }
 
 
-def _findings(counts: Mapping[str, int], n_scans: int) -> tuple[Finding, ...]:
+def _findings(counts: Mapping[str, int], n_scans: int, relocalized: Sequence[float]) -> tuple[Finding, ...]:
     def words(n: int) -> dict[str, object]:
         return {"n": n, "t": n_scans, "times": "once" if n == 1 else f"{n} times"}
 
@@ -291,4 +313,17 @@ def _findings(counts: Mapping[str, int], n_scans: int) -> tuple[Finding, ...]:
         named, n = "not-found" if name == "found-late" else name, counts[name]
         return Finding(named, severity, text.format(**words(n)), {"count": float(n)}, do=done)
 
-    return worst_first(finding(name, *texts) for name, texts in _TEXTS.items() if counts[name])
+    found = [finding(name, *texts) for name, texts in _TEXTS.items() if counts[name]]
+    return worst_first([*found, _elsewhere(relocalized)] if relocalized else found)
+
+
+def _elsewhere(relocalized: Sequence[float]) -> Finding:
+    times = ", ".join(f"{second:.1f} s" for second in relocalized)
+    return Finding(
+        "relocalized",
+        "warning",
+        f"The robot was not where the filter took it to be, and was found elsewhere on the map, after {times}.",
+        {"count": float(len(relocalized)), "first_s": relocalized[0]},
+        why="The start was wrong, or the robot was carried, slipped or followed wrongly: poses before are wrong.",
+        do="See in localization.png from when on; beamfield trajectory fits the whole drive.",
+    )

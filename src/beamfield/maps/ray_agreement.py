@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
-from beamfield.sensors import SensorLog, usable_ranges
+from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
 
 # So many scans with so many beams tell enough.
 SCANS, BEAMS = 200, 60
@@ -65,11 +66,16 @@ def scan_agreement(
     """
     scans = _spread(np.flatnonzero(np.isfinite(poses).all(axis=1)), most)
     z, expected = _readings(log, caster or RayCaster(grid), poses[scans], scans)
-    counted = _counted(z, expected, log.finder.max_range)
-    agrees = (expected < log.finder.max_range) & (np.abs(z - expected) <= _tolerance(grid, expected))
     shares: FloatArray = np.full(len(log), np.nan)
-    shares[scans] = np.where(counted > 0.0, agrees.sum(axis=1) / np.maximum(counted, 0.5), np.nan)
+    shares[scans] = _agreeing(z, expected, grid, log.finder.max_range)
     return shares
+
+
+def agreement_at(scan: Scan, caster: RayCaster, pose: FloatArray) -> float:
+    """Return `scan_agreement` of one scan at a pose (3,), in the map of a caster."""
+    beams, finder = _thinned(scan.finder)
+    z, expected = usable_ranges(scan.ranges[beams], finder), caster.expected_ranges(pose, finder)
+    return float(_agreeing(z, expected, caster.grid, finder.max_range))
 
 
 def passing_shares(z: FloatArray, expected: FloatArray, grid: OccupancyGrid, max_range: float) -> FloatArray:
@@ -80,6 +86,13 @@ def passing_shares(z: FloatArray, expected: FloatArray, grid: OccupancyGrid, max
     """
     passes = ((expected < max_range) & (z - expected > _tolerance(grid, expected))).sum(axis=1)
     return np.asarray(passes / np.maximum(_counted(z, expected, max_range), 0.5))
+
+
+def _agreeing(z: FloatArray, expected: FloatArray, grid: OccupancyGrid, max_range: float) -> FloatArray:
+    """Return the share of each scan's beams (..., k) that are as long as the map says; NaN without such beams."""
+    counted = _counted(z, expected, max_range)
+    agrees = (expected < max_range) & (np.abs(z - expected) <= _tolerance(grid, expected))
+    return np.where(counted > 0.0, agrees.sum(axis=-1) / np.maximum(counted, 0.5), np.nan)
 
 
 def _counted(z: FloatArray, expected: FloatArray, max_range: float) -> FloatArray:
@@ -95,10 +108,16 @@ def _readings(
     """Return measured and expected ranges of some beams of scans at poses (n, 3)."""
     if not len(scans):
         return np.empty((0, 1)), np.empty((0, 1))
-    beams = np.unique(np.linspace(0, log.finder.n_beams - 1, BEAMS).astype(np.int64))
-    finder = log.finder.subset(beams)
+    beams, finder = _thinned(log.finder)
     ranges = usable_ranges(log.ranges[np.ix_(scans, beams)], finder)
     return ranges, caster.expected_ranges(poses, finder)
+
+
+# A filter asks for it with each scan.
+@lru_cache(maxsize=16)
+def _thinned(finder: RangeFinder) -> tuple[NDArray[np.int64], RangeFinder]:
+    beams = np.unique(np.linspace(0, finder.n_beams - 1, BEAMS).astype(np.int64))
+    return beams, finder.subset(beams)
 
 
 def _spread(scans: NDArray[np.int64], most: int) -> NDArray[np.int64]:

@@ -259,16 +259,16 @@ def write_patch(file: StackFile, fitted: StackPart) -> tuple[str, Path | None]:
     return "; ".join(text for text in said if text), backup
 
 
-def next_step(arguments: argparse.Namespace, backup: Path, fitted: StackPart, before: str) -> str:
-    """Return the command that compares the file with the old one on another drive; empty if they do the same.
-
-    `before` is the text of the old one.
-    """
-    is_moved, was_moved = MOVED_MAP in fitted.files, goes_with_moved_map(before)
+def next_step(arguments: argparse.Namespace, backup: Path, fitted: StackPart, before: StackFile) -> str:
+    """Return the command that compares the file with the old one on another drive; empty if they do the same."""
+    is_moved, was_moved = MOVED_MAP in fitted.files, goes_with_moved_map(before.section.text)
     if not (fitted.values or is_moved > was_moved):
         return ""
     moved = arguments.out / MOVED_MAP
     words = ["--map", arguments.map, "--params", backup, arguments.patch]
+    words += ["--map-topic", arguments.map_topic] if arguments.map_topic is not None else []
+    # Without being told, evaluate takes the file for that of the likeliest program.
+    words += ["--stack", before.stack] if before.stack != before.possible[0] else []
     words += ["--filter-maps", moved if was_moved else arguments.map, moved] if is_moved else []
     words += ["--section", arguments.section] if arguments.section is not None else []
     return f"next, on another drive: beamfield evaluate OTHER_LOG {shlex.join(map(str, words))}"

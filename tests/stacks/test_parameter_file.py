@@ -375,6 +375,15 @@ def test_ros_1_rounds_counts_and_ros_2_does_not(write):
         read_filter_settings(read_stack_file(write("amcl: {ros__parameters: {resample_interval: 0.5}}\n")))
 
 
+@pytest.mark.parametrize(
+    ("written", "value"), [("030", 24), ("-030", -24), ("'030'", "030"), ("030.0", 30.0), ("30", 30)]
+)
+def test_a_whole_number_that_begins_with_0_is_octal_to_ros(write, written, value):
+    section = read_stack_file(write(f"laser_z_hit: 0.5\nlaser_max_beams: {written}\n")).section
+    assert section.entries["laser_max_beams"].value == value
+    assert section.with_values({"laser_max_beams": 30}).endswith("laser_max_beams: 30\n")
+
+
 def test_a_distance_too_small_for_a_number_is_0(write):
     file = read_stack_file(write("laser_z_hit: 0.5\nupdate_min_d: 0.000000000000000000001\n"))
     assert read_filter_settings(file).particles.update_min_d == 0.0

@@ -16,6 +16,8 @@ from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry, ParameterSe
 FOR_ALL: Place = ("/**", ROS_2_KEY)
 # With it a launch file's argument or variable begins, which launch puts in (ROS 2: allow_substs; ROS 1: subst_value).
 SUBSTITUTION = "$("
+# Both ROS read it so, as YAML 1.1 and C do; to YAML 1.2 it is decimal.
+_OCTAL = re.compile(r"[-+]?0[0-7]+")
 
 
 def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
@@ -84,6 +86,8 @@ def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[st
         if isinstance(value, str) and SUBSTITUTION in value:
             entry = Entry(name, None, line, start, stop, filled_in=value)
         else:
+            if isinstance(value, int) and _OCTAL.fullmatch(written := file.source[start:stop].strip()):
+                value = int(written, 8)
             entry = Entry(name, value if is_scalar else shorten(value), line, start, stop)
         entries[name] = replace(entry, others=file.earlier.get((*place, name), ()))
     label = ".".join(str(key) for key in place)

@@ -7,6 +7,10 @@ import pytest
 from beamfield.errors import FormatError
 from beamfield.stacks.files.parameter_file import read_stack_file, write_values
 
+OF_TWO_ROBOTS = "".join(
+    f"""<arg name="z" value="{z}" if="$(eval robot == '{robot}')"/>""" for robot, z in (("rb1", 0.5), ("tb", 0.9))
+)
+
 
 @pytest.fixture
 def write(tmp_path):
@@ -39,6 +43,8 @@ def param(name: str, value: str, more: str = "") -> str:
         ("", "$(env Z_HIT)", None),
         ("", "$(eval 1 / 2.0)", None),
         ('<arg name="z" default="$(arg z)"/>', "$(arg z)", None),
+        (OF_TWO_ROBOTS, "$(arg z)", None),
+        (f'<arg name="robot" default="tb"/>{OF_TWO_ROBOTS}', "$(arg z)", None),
     ],
 )
 def test_arguments_are_filled_in_with_their_defaults(write, before, written, value):

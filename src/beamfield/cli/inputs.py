@@ -98,14 +98,13 @@ def read_own_beam_model(path: Path) -> SavedBeamModel:
 
 def read_field_or_beam_model(path: Path) -> SavedLikelihoodField | SavedBeamModel:
     """Read --params of a likelihood field: a likelihood_field.yaml, or a beam_model.yaml in its place."""
-    from beamfield.io.files.yaml_file import read_yaml
     from beamfield.io.parameters.beam_model_file import read_beam_model
-    from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
+    from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
+    from beamfield.stacks.files.other_files import own_model
 
     with _not_of_another_program(path, "a likelihood_field.yaml or beam_model.yaml"):
         # A file that is neither is refused as what the model asks for first.
-        is_beam_model = not is_likelihood_field(path) and "beam_model" in read_yaml(path).values
-        return read_beam_model(path) if is_beam_model else read_likelihood_field(path)
+        return read_beam_model(path) if own_model(path) == "beam_model" else read_likelihood_field(path)
 
 
 @contextmanager
@@ -257,11 +256,11 @@ def looks_like_a_map(path: Path) -> bool:
 def parameters_instead_of(expected: str, path: Path) -> FormatError | None:
     """Return what a YAML file is instead of a map or a log: parameters, or metadata; None if it is neither."""
     from beamfield.io.files.yaml_file import read_yaml
-    from beamfield.stacks.files.other_files import is_beam_model
+    from beamfield.stacks.files.other_files import own_model
     from beamfield.stacks.files.parameter_file import read_stack_file
 
     try:
-        if is_beam_model(path):
+        if own_model(path) == "beam_model":
             return FormatError(path, f"this is a beam model of beamfield, not a {expected}")
         if path.suffix == ".yaml" and "rosbag2_bagfile_information" in read_yaml(path).values:
             return FormatError(path, "this is the metadata of a ROS 2 bag: give its folder")

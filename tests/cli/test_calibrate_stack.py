@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.pose_windows import WindowOptions
-from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack, next_step, write_patch
+from beamfield.cli.calibrate_stack import _fits, _motion_for_new_file, _said, fit_for_stack, next_step, write_patch
 from beamfield.cli.main import main
 from beamfield.cli.report_part import StackPart
 from beamfield.errors import TooLittleDataError
@@ -39,6 +39,7 @@ amcl:
     min_particles: 100
     max_particles: 200
     alpha1: 0.2   # as shipped
+    alpha5: 0.1
 """
 KEPT = StackPart("stack", "", {}, PageSection("stack", "", ""), {}, values={}, record="as calibrated")
 
@@ -88,7 +89,8 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     both = [
         read_filter_settings(read_stack_file(path, stack="nav2")) for path in (mine, tmp_path / "out" / "nav2.yaml")
     ]
-    assert both[0].motion == both[1].motion == Nav2Motion(**document["motion"])
+    # The new file alone runs the same filter, with what the user's has of the motion model.
+    assert both[0].motion == both[1].motion == Nav2Motion(**document["motion"], alpha5=0.1)
     shift = document["replay"]["chosen"]["origin_shift"]
     assert shift == 0.025  # nav2 reads maps half a cell off
     corrected, as_it_was = read_map(tmp_path / "out" / "amcl_map.yaml"), read_map(world / "map.yaml")
@@ -226,6 +228,12 @@ def test_the_next_command_says_whose_file_it_is_where_the_file_does_not(tmp_path
     given, mine = asked_to_patch(tmp_path / "mine.yaml", text, stack, "/map")
     step = next_step(given, Path("mine.yaml.bak"), replace(KEPT, values={"z_hit": 0.6}), mine)
     assert step.endswith(f"--params mine.yaml.bak mine.yaml --map-topic /map{said}")
+
+
+def test_a_new_file_names_the_motion_model_that_its_values_are_for(tmp_path):
+    _, mine = asked_to_patch(tmp_path / "mine.yaml", "laser_z_hit: 0.9\nodom_model_type: omni\n", "ros1")
+    assert _motion_for_new_file(mine, None) == {"odom_model_type": "omni"}
+    assert _motion_for_new_file(None, None) == {}
 
 
 def test_a_stack_needs_a_map(world, tmp_path, capsys):

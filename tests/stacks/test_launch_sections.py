@@ -170,6 +170,15 @@ def test_what_may_be_there_does_not_replace_what_is(write):
         assert (entry.value, entry.others) == (0.1, ())
 
 
+def test_which_of_several_that_may_be_there_counts_is_not_known(write):
+    conditions = [f"""if="$(eval robot == '{robot}')\"""" for robot in "abc"]
+    given = [param("laser_z_hit", z, more) for z, more in zip(("0.7", "0.8", "0.9"), conditions, strict=True)]
+    entry = read_stack_file(write(node(*given))).section.entries["laser_z_hit"]
+    assert (entry.value, entry.filled_in) == (None, "0.7 or 0.8 or 0.9")
+    same = [param("laser_z_hit", "0.7", more) for more in conditions]
+    assert read_stack_file(write(node(*same))).section.entries["laser_z_hit"].value == 0.7
+
+
 def test_arguments_for_an_included_file_are_not_this_file_s(write):
     included = '<include file="$(find robot)/more.launch"><arg name="z" value="0.9"/></include>'
     own = '<arg name="z" default="0.5"/>'

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.pose_windows import WindowOptions
-from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack, next_step, write_patch
+from beamfield.cli.calibrate_stack import _fits, _motion_for_new_file, _said, fit_for_stack, next_step, write_patch
 from beamfield.cli.main import main
 from beamfield.cli.report_part import StackPart
 from beamfield.errors import TooLittleDataError
@@ -39,8 +39,9 @@ amcl:
     min_particles: 100
     max_particles: 200
     alpha1: 0.2   # as shipped
+    alpha5: 0.1
 """
-
+KEPT = StackPart("stack", "", {}, PageSection("stack", "", ""), {}, values={}, record="as calibrated")
 
 pytestmark = pytest.mark.usefixtures("short_stack_fit", "without_figures")
 
@@ -88,7 +89,8 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     both = [
         read_filter_settings(read_stack_file(path, stack="nav2")) for path in (mine, tmp_path / "out" / "nav2.yaml")
     ]
-    assert both[0].motion == both[1].motion == Nav2Motion(**document["motion"])
+    # The new file alone runs the same filter, with what the user's has of the motion model.
+    assert both[0].motion == both[1].motion == Nav2Motion(**document["motion"], alpha5=0.1)
     shift = document["replay"]["chosen"]["origin_shift"]
     assert shift == 0.025  # nav2 reads maps half a cell off
     corrected, as_it_was = read_map(tmp_path / "out" / "amcl_map.yaml"), read_map(world / "map.yaml")
@@ -194,17 +196,44 @@ def test_a_file_that_was_patched_before_gets_no_second_backup_of_the_same(tmp_pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml", "mine.yaml.bak"]
 
 
-def test_files_are_compared_on_another_drive_only_if_they_differ():
-    given = SimpleNamespace(map="map.yaml", patch="mine.yaml", out=Path("out"), section=None)
-    kept = StackPart("stack", "", {}, PageSection("stack", "", ""), {}, values={}, record="as calibrated")
-    moved, values = replace(kept, files={"amcl_map.yaml": ""}), {"z_hit": 0.6}
-    backup, record = Path("mine.yaml.bak"), "# chosen for the map amcl_map.yaml\n"
-    assert next_step(given, backup, kept, MINE) == ""
-    assert next_step(given, backup, moved, MINE).endswith("--filter-maps map.yaml out/amcl_map.yaml")
-    assert "--filter-maps" not in next_step(given, backup, replace(kept, values=values), MINE)
-    assert next_step(given, backup, moved, MINE + record) == ""
-    again = next_step(given, backup, replace(moved, values=values), MINE + record)
+def asked_to_patch(path: Path, text: str, stack: str = "nav2", topic: str | None = None):
+    path.write_text(text)
+    given = SimpleNamespace(map="map.yaml", map_topic=topic, patch="mine.yaml", out=Path("out"), section=None)
+    return given, read_stack_file(path, stack=stack)
+
+
+def test_files_are_compared_on_another_drive_only_if_they_differ(tmp_path):
+    given, mine = asked_to_patch(tmp_path / "mine.yaml", MINE)
+    _, was_moved = asked_to_patch(tmp_path / "moved.yaml", MINE + "# chosen for the map amcl_map.yaml\n")
+    moved, values = replace(KEPT, files={"amcl_map.yaml": ""}), {"z_hit": 0.6}
+    backup = Path("mine.yaml.bak")
+    assert next_step(given, backup, KEPT, mine) == ""
+    assert next_step(given, backup, moved, mine).endswith("--filter-maps map.yaml out/amcl_map.yaml")
+    assert "--filter-maps" not in next_step(given, backup, replace(KEPT, values=values), mine)
+    assert next_step(given, backup, moved, was_moved) == ""
+    again = next_step(given, backup, replace(moved, values=values), was_moved)
     assert again.endswith("--filter-maps out/amcl_map.yaml out/amcl_map.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "stack", "said"),
+    [
+        (MINE, "nav2", ""),
+        (MINE, "beluga", " --stack beluga"),
+        ("laser_z_hit: 0.9\nlaser_model_type: likelihood_field\n", "ros1", ""),
+        ("laser_z_hit: 0.9\nlaser_model_type: likelihood_field\n", "beluga", " --stack beluga"),
+    ],
+)
+def test_the_next_command_says_whose_file_it_is_where_the_file_does_not(tmp_path, text, stack, said):
+    given, mine = asked_to_patch(tmp_path / "mine.yaml", text, stack, "/map")
+    step = next_step(given, Path("mine.yaml.bak"), replace(KEPT, values={"z_hit": 0.6}), mine)
+    assert step.endswith(f"--params mine.yaml.bak mine.yaml --map-topic /map{said}")
+
+
+def test_a_new_file_names_the_motion_model_that_its_values_are_for(tmp_path):
+    _, mine = asked_to_patch(tmp_path / "mine.yaml", "laser_z_hit: 0.9\nodom_model_type: omni\n", "ros1")
+    assert _motion_for_new_file(mine, None) == {"odom_model_type": "omni"}
+    assert _motion_for_new_file(None, None) == {}
 
 
 def test_a_stack_needs_a_map(world, tmp_path, capsys):

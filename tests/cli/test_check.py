@@ -152,6 +152,12 @@ def test_a_sensor_of_another_reach_is_refused(world, result, tmp_path, capsys):
     assert "the sensor's max_range is 8 m" in capsys.readouterr().err
 
 
+def test_a_file_of_another_program_is_refused_by_name(world, tmp_path, capsys):
+    (tmp_path / "amcl.launch").write_text('<launch><node pkg="amcl" type="amcl" name="amcl"/></launch>')
+    assert check(world, tmp_path / "out", "--params", str(tmp_path / "amcl.launch")) == 1
+    assert "this is a parameter file of ROS 1 amcl, which beamfield explore" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "message", "code"),
     [

@@ -44,6 +44,20 @@ def test_it_prints_an_address_with_a_token_and_serves_it(world, served, capsys):
     assert out == "the explorer has ended\n"
 
 
+def test_a_file_is_read_as_said(world, served, capsys, tmp_path):
+    file = tmp_path / "robots.yaml"
+    file.write_text(
+        "a: {ros__parameters: {max_beams: 9}}\nb: {ros__parameters: {max_beams: 9, laser_min_range: -1.0}}\n"
+    )
+    words = ("--no-fit", "--params", str(file))
+    assert explore(world, *words) == 1
+    assert "give --section by label or line: 'a.ros__parameters' (line 1)" in capsys.readouterr().err
+    assert explore(world, *words, "--section", "a.ros__parameters", "--stack", "beluga") == 0
+    assert len(served) == 1
+    assert explore(world, "--no-fit", "--stack", "beluga") == 2
+    assert "--stack: is for files of other programs" in capsys.readouterr().err
+
+
 def test_without_poses_it_is_said_what_is_left_to_do(world, served, capsys, tmp_path):
     log, bare = read_log(world / "log.carmen").only_sensor(), tmp_path / "bare.log"
     write_carmen(bare, ScanLog({"FLASER": log.with_poses(log.odometry)}))

@@ -229,9 +229,23 @@ def test_a_field_from_a_beam_model_says_what_it_leaves_out(folder, tmp_path, cap
     assert "left out" not in summary(folder, capsys, "--params", str(path))
 
 
-@pytest.mark.parametrize(("model", "expected"), [("beam", "beam_model"), ("likelihood_field", "likelihood_field")])
-def test_a_file_of_another_kind_is_refused_as_what_the_model_takes(folder, tmp_path, capsys, model, expected):
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [("beam", "a beam_model.yaml"), ("likelihood_field", "a likelihood_field.yaml or beam_model.yaml")],
+)
+def test_a_file_of_another_program_is_refused_with_the_commands_that_take_it(folder, tmp_path, capsys, model, expected):
     path = tmp_path / "nav2.yaml"
     path.write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5\n")
+    assert run(folder, "--model", model, "--params", str(path)) == 1
+    assert capsys.readouterr().err.endswith(
+        "this is a parameter file of nav2 or Beluga, which beamfield explore, localize and evaluate take; "
+        f"expected {expected} of beamfield calibrate\n"
+    )
+
+
+@pytest.mark.parametrize(("model", "expected"), [("beam", "beam_model"), ("likelihood_field", "likelihood_field")])
+def test_a_file_of_another_kind_is_refused_as_what_the_model_takes(folder, tmp_path, capsys, model, expected):
+    path = tmp_path / "landmarks.yaml"
+    path.write_text("landmark_model: {sigma_range: 0.1}\n")
     assert run(folder, "--model", model, "--params", str(path)) == 1
     assert capsys.readouterr().err.endswith(f"expected a {expected}.yaml of beamfield\n")

@@ -226,19 +226,22 @@ def test_a_file_is_read_as_the_stacks_that_is_named_and_says_what_it_was_made_fo
     assert json.loads(said.out)["filter"].startswith("that of nav2")
     assert "read as nav2's; pass --stack beluga if that is what the robot runs" in said.err
     assert "mine.yaml: its values were chosen for the map amcl_map.yaml" in said.err
-    assert run(folder, "--params", str(path), "--json", "--stack", "beluga") == 0
+    path.write_text(path.read_text() + "other:\n  ros__parameters:\n    z_hit: 0.5\n")
+    mine = ("--stack", "beluga", "--section", "amcl.ros__parameters")
+    assert run(folder, "--params", str(path), "--json", *mine) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["filter"].startswith("that of Beluga")
     assert "read as" not in said.err
     (folder / "amcl_map.yaml").write_text(f"# map.yaml {OF_MOVED_MAP} 0.05 m\n" + (folder / "map.yaml").read_text())
-    assert run(folder, "--params", str(path), map_name="amcl_map.yaml") == 0
+    assert run(folder, "--params", str(path), *mine, map_name="amcl_map.yaml") == 0
     assert "its values were chosen" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (("--stack", "nav2"), "--stack: says whose file --params is"),
+        (("--stack", "nav2"), "--stack: is for a file of another program"),
+        (("--section", "amcl"), "--section: is for a file of another program"),
         (("--params", "nav2.yaml", "--animation", "way.gif"), "--animation: for our own filter"),
         (("--params", "nav2.yaml", "--leave-out-short"), "--leave-out-short: for our own filter"),
         (("--start", "1", "1", "0", "--global"), "not allowed with"),

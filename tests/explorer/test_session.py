@@ -187,6 +187,27 @@ def test_a_filter_follows_the_robot(session, log):
     assert np.hypot(*(cloud[:, :2].mean(axis=0) - log.odometry[int(last), :2])) < 0.4
 
 
+FILES = {
+    "amcl.launch": '<launch><node pkg="amcl" type="amcl"><param name="laser_max_beams" value="9"/></node></launch>',
+    "mrpt.ini": "[MetricMap_occupancyGrid_00_likelihoodOpts]\nlikelihoodMethod = 4\n",
+    "two.yaml": "a: {ros__parameters: {z_hit: 0.5}}\nb: {ros__parameters: {z_hit: 0.6, model_unknown_space: false}}\n",
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        ("amcl.launch", "ROS 1 amcl likelihood_field"),
+        ("mrpt.ini", "MRPT LF_Thrun"),
+        ("two.yaml", "nav2 likelihood_field"),
+    ],
+)
+def test_files_of_all_programs_are_shown(grid, log, tmp_path, name, label):
+    (tmp_path / name).write_text(FILES[name])
+    section = "a.ros__parameters" if name == "two.yaml" else None
+    assert read_set(tmp_path / name, grid, log.finder, section=section).label == f"{name}: {label}"
+
+
 @pytest.mark.parametrize(("name", "idle"), [
     ("likelihood_field_prob", {"z_short", "z_max", "lambda_short"}), ("beam", {"laser_likelihood_max_dist"}),
 ])  # fmt: skip

@@ -7,6 +7,10 @@ import pytest
 from beamfield.errors import FormatError
 from beamfield.stacks.files.parameter_file import read_stack_file, write_values
 
+OF_TWO_ROBOTS = "".join(
+    f"""<arg name="z" value="{z}" if="$(eval robot == '{robot}')"/>""" for robot, z in (("rb1", 0.5), ("tb", 0.9))
+)
+
 
 @pytest.fixture
 def write(tmp_path):
@@ -39,6 +43,8 @@ def param(name: str, value: str, more: str = "") -> str:
         ("", "$(env Z_HIT)", None),
         ("", "$(eval 1 / 2.0)", None),
         ('<arg name="z" default="$(arg z)"/>', "$(arg z)", None),
+        (OF_TWO_ROBOTS, "$(arg z)", None),
+        (f'<arg name="robot" default="tb"/>{OF_TWO_ROBOTS}', "$(arg z)", None),
     ],
 )
 def test_arguments_are_filled_in_with_their_defaults(write, before, written, value):
@@ -162,6 +168,15 @@ def test_what_may_be_there_does_not_replace_what_is(write):
     for tags in ((param("laser_z_hit", "0.1"), unsure), (unsure, param("laser_z_hit", "0.1"))):
         entry = read_stack_file(write(node(*tags))).section.entries["laser_z_hit"]
         assert (entry.value, entry.others) == (0.1, ())
+
+
+def test_which_of_several_that_may_be_there_counts_is_not_known(write):
+    conditions = [f"""if="$(eval robot == '{robot}')\"""" for robot in "abc"]
+    given = [param("laser_z_hit", z, more) for z, more in zip(("0.7", "0.8", "0.9"), conditions, strict=True)]
+    entry = read_stack_file(write(node(*given))).section.entries["laser_z_hit"]
+    assert (entry.value, entry.filled_in) == (None, "0.7 or 0.8 or 0.9")
+    same = [param("laser_z_hit", "0.7", more) for more in conditions]
+    assert read_stack_file(write(node(*same))).section.entries["laser_z_hit"].value == 0.7
 
 
 def test_arguments_for_an_included_file_are_not_this_file_s(write):

@@ -375,6 +375,31 @@ def test_ros_1_rounds_counts_and_ros_2_does_not(write):
         read_filter_settings(read_stack_file(write("amcl: {ros__parameters: {resample_interval: 0.5}}\n")))
 
 
+@pytest.mark.parametrize(
+    ("written", "value"), [("030", 24), ("-030", -24), ("'030'", "030"), ("030.0", 30.0), ("30", 30)]
+)
+def test_a_whole_number_that_begins_with_0_is_octal_to_ros(write, written, value):
+    section = read_stack_file(write(f"laser_z_hit: 0.5\nlaser_max_beams: {written}\n")).section
+    assert section.entries["laser_max_beams"].value == value
+    assert section.with_values({"laser_max_beams": 30}).endswith("laser_max_beams: 30\n")
+
+
+@pytest.mark.parametrize(
+    ("written", "radians"),
+    [
+        ("!degrees 10.0", math.pi / 18),
+        ("deg(90)", math.pi / 2),
+        ("!radians 0.3", 0.3),
+        ("rad(2*pi/3)", 2 * math.pi / 3),
+    ],
+)
+def test_angles_are_read_as_ros_1_reads_them(write, written, radians):
+    file = read_stack_file(write(f"laser_z_hit: 0.5\nupdate_min_a: {written}\n"))
+    assert file.section.entries["update_min_a"].value == pytest.approx(radians)
+    assert read_filter_settings(file).particles.update_min_a == pytest.approx(radians)
+    assert file.section.with_values({"laser_z_hit": 0.6}).endswith(f"0.6\nupdate_min_a: {written}\n")
+
+
 def test_a_distance_too_small_for_a_number_is_0(write):
     file = read_stack_file(write("laser_z_hit: 0.5\nupdate_min_d: 0.000000000000000000001\n"))
     assert read_filter_settings(file).particles.update_min_d == 0.0

@@ -133,7 +133,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if patched is not None and first.stack is not None:
         changed, backup = write_patch(patched, first.stack)
         line, brief = f"{line}\n{changed}", f"{brief.removesuffix('.')}; {changed}"
-        if backup is not None and (step := next_step(arguments, backup, first.stack, patched.section.text)):
+        if backup is not None and (step := next_step(arguments, backup, first.stack, patched)):
             line += f"\n{step}"
     heads = {name: f"== {printable(name)}\n" if len(results) > 1 else "" for name in results}
     # The answer comes last, where it is seen without scrolling.

@@ -135,7 +135,8 @@ def fit_for_stack(
     noise = dict(motion) if choice is None else found.motion
     said = _said(stack, noise)
     changed |= found.recovery | ({} if said else noise)
-    text = _file_text(job.arguments, found, {**asdict(found.parameters), **changed}, record, said)
+    values = {**asdict(found.parameters), **_motion_for_new_file(job.patched, choice), **changed}
+    text = _file_text(job.arguments, found, values, record, said)
     files = {f"{stack}.{STACKS[stack].syntax}": text}
     if choice is not None:
         files |= shifted_map_file(job, choice)
@@ -144,6 +145,18 @@ def fit_for_stack(
         stack_section(found, text), files, values=changed, record="; ".join(filter(None, (record, for_map))),
         doubt=found.doubt or unproven, problem=unproven,
     )  # fmt: skip
+
+
+def _motion_for_new_file(file: StackFile | None, choice: ReplayChoice | None) -> dict[str, Any]:
+    """Return what a new file says of the motion model: where it is not as the program has it by default."""
+    from beamfield.stacks.files.typed_values import typed_fields
+
+    if file is None or file.program.filter is None or file.program.motion_elsewhere:
+        return {}
+    kind = file.program.filter.motion
+    motion = typed_fields(file, kind).parameters if choice is None else choice.chosen.filter.motion
+    default = asdict(kind())
+    return {name: value for name, value in asdict(motion).items() if value != default[name]}
 
 
 def _for_map(file: StackFile | None, choice: ReplayChoice | None) -> str:
@@ -259,16 +272,16 @@ def write_patch(file: StackFile, fitted: StackPart) -> tuple[str, Path | None]:
     return "; ".join(text for text in said if text), backup
 
 
-def next_step(arguments: argparse.Namespace, backup: Path, fitted: StackPart, before: str) -> str:
-    """Return the command that compares the file with the old one on another drive; empty if they do the same.
-
-    `before` is the text of the old one.
-    """
-    is_moved, was_moved = MOVED_MAP in fitted.files, goes_with_moved_map(before)
+def next_step(arguments: argparse.Namespace, backup: Path, fitted: StackPart, before: StackFile) -> str:
+    """Return the command that compares the file with the old one on another drive; empty if they do the same."""
+    is_moved, was_moved = MOVED_MAP in fitted.files, goes_with_moved_map(before.section.text)
     if not (fitted.values or is_moved > was_moved):
         return ""
     moved = arguments.out / MOVED_MAP
     words = ["--map", arguments.map, "--params", backup, arguments.patch]
+    words += ["--map-topic", arguments.map_topic] if arguments.map_topic is not None else []
+    # Without being told, evaluate takes the file for that of the likeliest program.
+    words += ["--stack", before.stack] if before.stack != before.possible[0] else []
     words += ["--filter-maps", moved if was_moved else arguments.map, moved] if is_moved else []
     words += ["--section", arguments.section] if arguments.section is not None else []
     return f"next, on another drive: beamfield evaluate OTHER_LOG {shlex.join(map(str, words))}"

@@ -148,9 +148,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
-    from beamfield.io.parameters.beam_model_file import read_beam_model
-
-    saved = None if arguments.params is None else read_beam_model(arguments.params)
+    saved = None if arguments.params is None else inputs.read_own_beam_model(arguments.params)
     reference = None if arguments.good_scans is None else _read_reference(arguments.good_scans)
     progress("reading the map", 0, 1)
     grid = inputs.read_walls(arguments)

@@ -63,11 +63,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                         help="also start without any idea where the robot is")  # fmt: skip
     parser.add_argument("--kidnap", action="store_true",
                         help="also cut out the middle third of each log, unnoticed by the odometry")  # fmt: skip
-    group = parser.add_argument_group("the parameter files")
-    group.add_argument(
-        "--stack", metavar="NAME", help="nav2, ros1, beluga, mrpt or f1tenth (default: find out for each file)"
-    )
-    group.add_argument("--section", metavar="LABEL", help="which section, if several have such parameters")
+    options.add_whose_files(parser)
     options.add_out(parser, "beamfield_evaluation", metavar="DIR", what="output folder")
     add_recordings(parser)
     options.add_log(parser)

@@ -53,6 +53,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                         help="start at once: fit no poses, learn nothing from the log, and judge no scans")  # fmt: skip
     parser.add_argument("--port", type=index, default=0, metavar="N", help="port to serve on (default: any free one)")
     parser.add_argument("--no-browser", action="store_true", help="only print the address, open nothing")
+    options.add_whose_files(parser)
     options.add_log(parser)
     options.add_threads(parser)
 
@@ -95,11 +96,14 @@ def _session(arguments: argparse.Namespace) -> tuple[Session, tuple[str, ...]]:
     from beamfield.explorer.open_session import open_session
     from beamfield.explorer.parameter_set import read_set
     from beamfield.explorer.shown_run import own_poses_as_run, read_shown_run
+    from beamfield.stacks.files.other_files import own_model
 
     with options.progress(arguments) as progress:
         grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)
         # Before poses are fitted, which takes long: a bad file is refused at once.
-        sets = [read_set(file, grid, sensor.finder) for file in arguments.params]
+        if all(own_model(path) for path in arguments.params):
+            options.refuse(arguments, ("stack", "section"), "is for files of other programs, give one with --params")
+        sets = [read_set(path, grid, sensor.finder, arguments.stack, arguments.section) for path in arguments.params]
         shown = None if arguments.shown_run is None else read_shown_run(arguments.shown_run, sensor, grid)
         log, fitted, more = _posed(sensor, grid, arguments, progress)
         if shown is None and fitted is not None and fitted.instead_of is not None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -87,15 +88,44 @@ def read_range_table(arguments: argparse.Namespace, grid: OccupancyGrid, finder:
     return table
 
 
+def read_own_beam_model(path: Path) -> SavedBeamModel:
+    """Read --params of a beam model: a beam_model.yaml."""
+    from beamfield.io.parameters.beam_model_file import read_beam_model
+
+    with _not_of_another_program(path, "a beam_model.yaml"):
+        return read_beam_model(path)
+
+
 def read_field_or_beam_model(path: Path) -> SavedLikelihoodField | SavedBeamModel:
     """Read --params of a likelihood field: a likelihood_field.yaml, or a beam_model.yaml in its place."""
-    from beamfield.io.files.yaml_file import read_yaml
     from beamfield.io.parameters.beam_model_file import read_beam_model
-    from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
+    from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
+    from beamfield.stacks.files.other_files import own_model
 
-    # A file that is neither is refused as what the model asks for first.
-    is_beam_model = not is_likelihood_field(path) and "beam_model" in read_yaml(path).values
-    return read_beam_model(path) if is_beam_model else read_likelihood_field(path)
+    with _not_of_another_program(path, "a likelihood_field.yaml or beam_model.yaml"):
+        # A file that is neither is refused as what the model asks for first.
+        return read_beam_model(path) if own_model(path) == "beam_model" else read_likelihood_field(path)
+
+
+@contextmanager
+def _not_of_another_program(path: Path, expected: str) -> Iterator[None]:
+    """Say of a file that is not one of ours, but one of nav2 or another program, which commands take it."""
+    from beamfield.stacks.files.parameter_file import read_stack_file
+    from beamfield.stacks.registry import STACKS
+
+    try:
+        yield
+    except FormatError as error:
+        try:
+            possible = read_stack_file(path, unknown_model="default").possible
+        except FormatError:
+            raise error from None
+        programs = " or ".join(STACKS[name].title for name in possible)
+        raise FormatError(
+            path,
+            f"this is a parameter file of {programs}, which beamfield explore, localize and evaluate take; expected "
+            f"{expected} of beamfield calibrate",
+        ) from None
 
 
 def left_out_of_a_field(beam: BeamParameters, path: Path) -> list[str]:
@@ -226,11 +256,11 @@ def looks_like_a_map(path: Path) -> bool:
 def parameters_instead_of(expected: str, path: Path) -> FormatError | None:
     """Return what a YAML file is instead of a map or a log: parameters, or metadata; None if it is neither."""
     from beamfield.io.files.yaml_file import read_yaml
-    from beamfield.stacks.files.other_files import is_beam_model
+    from beamfield.stacks.files.other_files import own_model
     from beamfield.stacks.files.parameter_file import read_stack_file
 
     try:
-        if is_beam_model(path):
+        if own_model(path) == "beam_model":
             return FormatError(path, f"this is a beam model of beamfield, not a {expected}")
         if path.suffix == ".yaml" and "rosbag2_bagfile_information" in read_yaml(path).values:
             return FormatError(path, "this is the metadata of a ROS 2 bag: give its folder")

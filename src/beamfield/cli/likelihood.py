@@ -152,12 +152,11 @@ def _measurement_and_model(
 
 
 def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
-    from beamfield.io.parameters.beam_model_file import read_beam_model
     from beamfield.models.beam_parameters import BeamParameters
 
     if arguments.params is None:
         return BeamParameters(**(SONAR_DEFAULTS if scan.finder.opening_angle > 0.0 else DEFAULTS))
-    return read_beam_model(arguments.params)
+    return inputs.read_own_beam_model(arguments.params)
 
 
 def _counting(

@@ -67,6 +67,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                        "values), or a file of nav2 or another stack, whose filter then runs")  # fmt: skip
     parser.add_argument("--stack", metavar="NAME",
                         help="whose file it is: nav2, ros1, beluga, mrpt or f1tenth (default: find out)")  # fmt: skip
+    parser.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")
     options.add_range_table(parser)
     options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
     parser.add_argument("--animation", type=Path, metavar="FILE", help="write the particles over time as a .gif")
@@ -200,7 +201,7 @@ def _filter(
 
     if is_stack_file(arguments.params):
         return stack_filter(log, grid, start, arguments)
-    options.refuse(arguments, ("stack",), "says whose file --params is, which must be one of another program")
+    options.refuse(arguments, ("stack", "section"), "is for a file of another program, give that with --params")
     model, notes = _model(log, grid, arguments)
     localizer, rng = _localizer(model, grid, arguments), np.random.default_rng(arguments.seed)
 

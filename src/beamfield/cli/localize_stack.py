@@ -29,13 +29,9 @@ _OF_OUR_FILTER = (
 
 def is_stack_file(path: Path | None) -> bool:
     """Return whether --params is not one of our own files."""
-    from beamfield.io.files.yaml_file import read_yaml
+    from beamfield.stacks.files.other_files import own_model
 
-    if path is None:
-        return False
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        return True
-    return not {"likelihood_field", "beam_model"} & set(read_yaml(path, number_keys=True, last_counts=True).values)
+    return path is not None and not own_model(path)
 
 
 def stack_filter(
@@ -51,7 +47,7 @@ def stack_filter(
     from beamfield.stacks.files.parameter_file import read_stack_file
 
     options.refuse(arguments, _OF_OUR_FILTER, f"for our own filter; {arguments.params} sets up a robot's own")
-    file = read_stack_file(arguments.params, stack=arguments.stack)
+    file = read_stack_file(arguments.params, stack=arguments.stack, section=arguments.section)
     settings = read_filter_settings(file)
     try:
         replayed = settings.filter(grid)

@@ -88,11 +88,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[str]]:
     """Return the translation, what it is from, and notes on that file."""
-    from beamfield.stacks.files.other_files import is_beam_model
+    from beamfield.stacks.files.other_files import own_model
     from beamfield.stacks.files.parameter_file import read_stack_file
     from beamfield.stacks.translation.translate import translate
 
-    if is_beam_model(arguments.params):
+    if own_model(arguments.params) == "beam_model":
         return _translate_beam_model(arguments)
     if arguments.typical_range is not None:
         raise InvalidInputError("--typical-range: is for beamfield's own beam_model.yaml")

@@ -16,7 +16,6 @@ from beamfield.calibration.field.learning import FieldLearning
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.parameters.beam_model_file import beam_model_text, read_beam_model
 from beamfield.io.parameters.likelihood_field_file import (
-    is_likelihood_field,
     likelihood_field_text,
     read_likelihood_field,
 )
@@ -27,7 +26,7 @@ from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.stacks.files.new_file import new_file_text
-from beamfield.stacks.files.other_files import is_beam_model
+from beamfield.stacks.files.other_files import own_model
 from beamfield.stacks.files.parameter_file import StackFile, read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.registry import STACKS, build_model, model_named
@@ -194,15 +193,20 @@ def fitted_sets(
     ]
 
 
-def read_set(path: Path, grid: OccupancyGrid, finder: RangeFinder) -> ParameterSet:
-    """Read a beam_model.yaml, a likelihood_field.yaml, or another program's file; FormatError if it cannot be used."""
-    if is_likelihood_field(path) or is_beam_model(path):
-        is_field = is_likelihood_field(path)
+def read_set(
+    path: Path, grid: OccupancyGrid, finder: RangeFinder, stack: str | None = None, section: str | None = None
+) -> ParameterSet:
+    """Read a beam_model.yaml, a likelihood_field.yaml, or another program's file; FormatError if it cannot be used.
+
+    The stack and the section are of another program's file; None finds out.
+    """
+    if own := own_model(path):
+        is_field = own == "likelihood_field"
         saved = read_likelihood_field(path) if is_field else read_beam_model(path)
         counting = _Counting(saved.exponent, saved.single_scan_exponent, saved.n_beams)
         label = f"{path.name}: {'likelihood field' if is_field else 'beam model'}"
         return _chapter_set(label, "field" if is_field else "beam", saved.parameters, counting, grid, finder)
-    file = read_stack_file(path)
+    file = read_stack_file(path, stack=stack, section=section)
     label = f"{path.name}: {file.program.title} {file.model}"
     one = _stack_set(label, file.stack, file.model, checked_values(file), grid, file)
     if (refusal := _refusal(one, finder)) is not None:

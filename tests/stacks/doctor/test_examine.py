@@ -253,6 +253,10 @@ FINDINGS = {
     "wrong-type in a launch file": ({"text": WITHOUT.replace("0.95", "95e-2"), **ROBOT}, {},
                                     {"text": WITHOUT.replace("0.95", "9.5e-1"), **ROBOT}, {}),
     "wrong-type in YAML 1.1 only in ROS 1": ({"stack": "ros1", "laser_z_hit": "5e-1"}, {}, {"z_hit": "5e-1"}, {}),
+    "wrong-type of grouped digits": ({"max_particles": "2_000"}, {}, {"max_particles": "2000"}, {}),
+    "wrong-type of grouped digits only in ROS 2": ({"max_beams": "6_0"}, {},
+                                                   {"stack": "ros1", "laser_max_beams": "6_0"}, {}),
+    "wrong-type of octal digits": ({"max_beams": "0o74"}, {}, {"max_beams": "0x3c"}, {}),
     "out-of-range of size": ({"sigma_hit": "1.0e-300"}, {}, {"sigma_hit": "1.0e-2"}, {}),
     "out-of-range of beams": ({"max_beams": 1}, {}, {"max_beams": 2}, {}),
     "out-of-range of digits": ({"max_beams": "9" * 400}, {}, {"max_beams": 9999999}, {}),
@@ -260,6 +264,10 @@ FINDINGS = {
     "foreign-name in ROS 1": ({"stack": "ros1", "z_hit": 0.5}, {}, {"stack": "ros1", "laser_z_hit": 0.5}, {}),
     "foreign-name of Beluga": ({"model_unknown_space": "true"}, {},
                                {"stack": "beluga", "model_unknown_space": "true"}, {}),
+    "foreign-name of motion": ({"odom_alpha1": 0.05}, {}, {"alpha1": 0.05}, {}),
+    "foreign-name of motion in ROS 1": ({"stack": "ros1", "laser_z_hit": 0.9, "alpha1": 0.05}, {},
+                                        {"stack": "ros1", "laser_z_hit": 0.9, "odom_alpha1": 0.05}, {}),
+    "foreign-name of particles": ({"kld_err": 0.01}, {}, {"pf_err": 0.01}, {}),
     "out-of-range of motion": ({"alpha1": -0.2}, {}, {"alpha1": 0.2}, {}),
     "wrong-type of particles": ({"max_particles": "many"}, {}, {"max_particles": 500}, {}),
     "misspelt-name": ({"simga_hit": 0.5}, {}, {"odom_frame_id": "odom"}, {}),
@@ -552,14 +560,22 @@ def test_advice_on_names_fits_the_stacks(tmp_path):
     )
 
 
+def test_names_of_another_motion_model_come_with_what_runs_instead(tmp_path):
+    found = texts(examine(amcl(tmp_path, odom_alpha1=0.05, odom_alpha2=0.05, alpha2=0.1)), "foreign-name")
+    assert found.startswith(
+        "odom_alpha1, odom_alpha2 are no parameters of nav2 it silently ignores them and takes the default of alpha1 "
+        "call them alpha1, alpha2;"
+    )
+
+
 def test_belugas_node_for_ros_1_is_known_by_its_own_names(tmp_path):
-    text = "laser_z_hit: 1\nlaser_z_rand: 0.0\nlaser_sigma_hit: -0.1\nexecution_policy: seq\nlaser_z_hti: 0.5\n"
-    file = amcl(tmp_path, None, text=text)
+    text = "odom_alpha1: 0.1\nlaser_z_hit: 1\nlaser_z_rand: 0.0\nlaser_sigma_hit: -0.1\nexecution_policy: seq\n"
+    file = amcl(tmp_path, None, text=f"{text}laser_z_hti: 0.5\n")
     assert file.stack == "beluga"
     found = {item.name: item for item in examine(file)}
     # ROS 1 takes integers for doubles, reads no ros__parameters, and has these names.
     assert found.keys() & {"wrong-type", "no-ros-parameters-key", "foreign-name"} == set()
-    assert (found["out-of-range"].parameter, found["out-of-range"].line) == ("laser_sigma_hit", 3)
+    assert (found["out-of-range"].parameter, found["out-of-range"].line) == ("laser_sigma_hit", 4)
 
 
 def test_the_worst_comes_first_with_its_line(tmp_path):

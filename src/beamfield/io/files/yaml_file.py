@@ -28,6 +28,8 @@ Place = tuple[str | int, ...]
 Spans = dict[Place, tuple[int, int]]
 
 _TAG = "tag:yaml.org,2002:"
+# Tags of angles in files for ROS 1, which has another way to write them, too.
+_ANGLES = {"!degrees": "deg", "!radians": "rad"}
 _SCALARS = {"null": "construct_yaml_null", "bool": "construct_yaml_bool", "int": "construct_yaml_int",
             "float": "construct_yaml_float", "str": "construct_yaml_str"}  # fmt: skip
 
@@ -134,7 +136,8 @@ def read_yaml(
 
     Notes
     -----
-    Values follow YAML 1.2: ``yes`` and ``on`` are text, ``1e-3`` is a number.
+    Values follow YAML 1.2: ``yes`` and ``on`` are text, ``1e-3`` is a number. An angle of ROS 1, ``!degrees 10``, is
+    the text ``deg(10)``.
     """
     source = Path(path)
     text = _read_text(source, max_bytes)
@@ -281,6 +284,8 @@ def _construct_scalar(yaml: YAML, node: ScalarNode, path: Path) -> Any:
     kind = _kind(node)
     if kind in ("timestamp", "merge", "value"):
         return node.value
+    if kind in _ANGLES:
+        return f"{_ANGLES[kind]}({node.value})"
     if kind not in _SCALARS:
         raise _tag_error(node, path)
     try:

@@ -58,11 +58,6 @@ def likelihood_field_text(
     return document_text(HEADER, document, intervals=intervals, provenance=provenance)
 
 
-def is_likelihood_field(path: str | Path) -> bool:
-    """Return whether a YAML file has the parameters of a likelihood field; FormatError if it is no YAML file."""
-    return "likelihood_field" in read_yaml(path).values
-
-
 def read_likelihood_field(path: str | Path) -> SavedLikelihoodField:
     """Read a likelihood_field.yaml, as `LikelihoodFieldModel` takes it: exponent and n_beams included.
 

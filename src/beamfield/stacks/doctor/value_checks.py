@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from beamfield.finding import Finding
@@ -19,6 +19,11 @@ from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry
 # Names that differ by so little are a slip of the pen (difflib's ratio).
 SIMILAR = 0.88
 BEAM_SKIPPING = ("do_beamskip", "beam_skip_distance", "beam_skip_threshold", "beam_skip_error_threshold")
+# Pairs of names of motion model and particles, of ROS 1 and of ROS 2.
+_OF_FILTERS = {
+    "odom_model_type": "robot_model_type", "kld_err": "pf_err", "kld_z": "pf_z",
+    **{f"odom_alpha{i}": f"alpha{i}" for i in range(1, 6)},
+}  # fmt: skip
 _OFF = Entry("do_beamskip", False, 0, 0, 0)
 # Nodes share their section with parameters that beamfield does not know: motion model, frames, topics.
 _OTHER_PREFIXES = (
@@ -139,6 +144,7 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
             yield _foreign(subject, named, stack, [counterpart(name, own) for name in named])
         if rest := [name for name in names if name not in named]:
             yield _foreign(subject, rest, stack, [])
+    yield from _foreign_names_of_filter(subject)
     for name in strange:
         near = [one for one in own if sorted(one) == sorted(name)]  # two letters swapped
         near = near or difflib.get_close_matches(name, own, n=1, cutoff=SIMILAR)
@@ -148,6 +154,25 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
                 "parameters with unknown names are ignored silently",
                 f"write {near[0]}, if that is intended", own=name,
             )  # fmt: skip
+
+
+def _foreign_names_of_filter(subject: Subject) -> Iterator[Finding]:
+    """Find names of motion model and particles that ROS 1 has in a file for ROS 2, and the other way round."""
+    described = subject.stack.filter
+    kinds = () if described is None else (described.motion, described.parameters)
+    own = {subject.file.name_in_file(item.name) for kind in kinds for item in fields(kind)}
+    pairs = _OF_FILTERS | {name: other for other, name in _OF_FILTERS.items()}
+    entries = subject.file.section.entries
+    instead = {name: pairs[name] for name in entries if name in pairs and name not in own and pairs[name] in own}
+    if instead:
+        they, are = ("it", "is no parameter") if len(instead) == 1 else ("them", "are no parameters")
+        missing = [name for name in instead.values() if name not in entries]
+        yield subject.finding(
+            "foreign-name", "warning", f"{', '.join(instead)} {are} of {subject.file.stack}",
+            f"it silently ignores {they}" + (f" and takes the default of {', '.join(missing)}" if missing else ""),
+            f"call {they} {', '.join(instead.values())}; motion models of the two may read a value differently, so "
+            "compare with beamfield evaluate", own=next(iter(instead)),
+        )  # fmt: skip
 
 
 def _unusable(subject: Subject) -> Iterator[tuple[Entry, Unusable]]:

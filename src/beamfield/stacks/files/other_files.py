@@ -38,11 +38,15 @@ def expected_files() -> str:
     return f"expected a parameter file of {', '.join(most)} or {last}"
 
 
-def is_beam_model(path: str | Path) -> bool:
-    """Whether a file is beamfield's own beam_model.yaml, by its top-level key; FormatError if a .yaml is no YAML."""
-    return Path(path).suffix.lower() in _YAML and "beam_model" in (
-        read_yaml(path, number_keys=True, last_counts=True).values
-    )
+def own_model(path: Path) -> str:
+    """Return which of beamfield's own models a file has by its top-level key, "likelihood_field" or "beam_model".
+
+    "" for other files; FormatError if a .yaml is no YAML.
+    """
+    if path.suffix.lower() not in _YAML:
+        return ""
+    keys = read_yaml(path, number_keys=True, last_counts=True).values
+    return next((model for model in ("likelihood_field", "beam_model") if model in keys), "")
 
 
 def read_parameter_yaml(path: Path) -> YamlFile:

@@ -17,6 +17,8 @@ from beamfield.stacks.syntax.parameter_text import Entry
 _TRUE, _FALSE = ("yes", "on", "y", "true"), ("no", "off", "n", "false")
 # What YAML 1.1 reads as a number with an exponent.
 _EXPONENT_1_1 = re.compile(r"[-+]?(\d[\d_]*\.[\d_]*|\.\d[\d_]*)[eE][-+]\d+")
+# What YAML 1.2 reads as a number, and ROS 2 as text.
+_NOT_TO_ROS_2 = re.compile(r"[-+]?(0o[0-7]+|[\d.]*_[\w.+-]*)")
 # What is wrong with a value: known only when the robot starts; an integer where ROS 2 wants a double; of another type;
 # NaN or infinite; outside its range; a name that the program does not know; no measurement model of it.
 Fault = Literal["filled-in", "integer", "type", "not-finite", "range", "name", "model"]
@@ -121,6 +123,9 @@ def _read(file: StackFile, entry: Entry, default: Any) -> tuple[Any, tuple[Fault
     text = _plain_text(file, entry)
     if isinstance(entry.value, float) and _is_text_to_ros_1(file, entry, text):
         message = "expected a number as ROS 1 reads it (1.0e-3: with a point and a signed exponent), got the text"
+        return entry.value, ("type", f"{message} {text!r}")
+    if isinstance(entry.value, (int, float)) and file.section.is_ros_2 and _NOT_TO_ROS_2.fullmatch(text):
+        message = "expected a number as ROS 2 reads it (1000: digits without _ or 0o), got the text"
         return entry.value, ("type", f"{message} {text!r}")
     value = entry.value
     if isinstance(default, int) and isinstance(value, float) and file.is_roscpp and math.isfinite(value):

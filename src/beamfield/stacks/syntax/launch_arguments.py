@@ -25,11 +25,13 @@ class LaunchArguments:
         self._values: dict[str, str] = {}
 
     def declare(self, attributes: Mapping[str, str]) -> None:
-        """Take note of an ``<arg>`` tag."""
-        given = attributes.get("value", attributes.get("default"))
+        """Take note of an ``<arg>`` tag; nothing is known of one with a condition that is known only at the start."""
+        name, given = attributes.get("name", ""), attributes.get("value", attributes.get("default"))
         value = None if given is None else self.fill_in(given)
-        if value is not None:
-            self._values.setdefault(attributes.get("name", ""), value)
+        if not self.is_known(attributes):
+            self._values.setdefault(name, f"$(arg {name})")
+        elif value is not None:
+            self._values.setdefault(name, value)
 
     def fill_in(self, text: str) -> str | None:
         """Return the text with its arguments filled in; None if one of them is not known."""

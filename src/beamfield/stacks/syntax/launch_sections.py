@@ -196,6 +196,9 @@ class _Parser:
 
     def add(self, node: _Node, name: str, param: _Param) -> None:
         known = node.params.get(name)
+        if known is not None and known.is_unsure and param.is_unsure and known.value != param.value:
+            given = known.filled_in if known.value is None else known.value
+            param = param._replace(value=None, filled_in=f"{given} or {param.filled_in or param.value}")
         if known is None or known.is_unsure:
             node.params[name] = param
         elif not param.is_unsure:

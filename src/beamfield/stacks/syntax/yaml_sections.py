@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Set
 from dataclasses import replace
@@ -16,6 +17,10 @@ from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry, ParameterSe
 FOR_ALL: Place = ("/**", ROS_2_KEY)
 # With it a launch file's argument or variable begins, which launch puts in (ROS 2: allow_substs; ROS 1: subst_value).
 SUBSTITUTION = "$("
+_DIGITS = r"\d+(?:\.\d*)?"
+_ANGLE = re.compile(rf"(deg|rad)\(\s*(?:({_DIGITS})\s*\*\s*)?(pi|{_DIGITS})(?:\s*/\s*([1-9]\d*))?\s*\)")
+# Both ROS read it so, as YAML 1.1 and C do; to YAML 1.2 it is decimal.
+_OCTAL = re.compile(r"[-+]?0[0-7]+")
 
 
 def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
@@ -83,13 +88,27 @@ def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[st
             start = stop = _behind_colon(file, line, name)
         if isinstance(value, str) and SUBSTITUTION in value:
             entry = Entry(name, None, line, start, stop, filled_in=value)
+        elif isinstance(value, str) and place[-1:] != (ROS_2_KEY,) and (angle := _angle(value)) is not None:
+            entry = Entry(name, angle, line, start, stop, filled_in=value)
         else:
+            if isinstance(value, int) and _OCTAL.fullmatch(written := file.source[start:stop].strip()):
+                value = int(written, 8)
             entry = Entry(name, value if is_scalar else shorten(value), line, start, stop)
         entries[name] = replace(entry, others=file.earlier.get((*place, name), ()))
     label = ".".join(str(key) for key in place)
     at, before, after = _insertion(file, place, entries)
     return ParameterSection(file.path, "yaml", label, file.lines[place], file.source, entries, at, before, after,
                             nested=_nested(file, place, values))  # fmt: skip
+
+
+def _angle(text: str) -> float | None:
+    """Return the radians that ROS 1 reads in ``deg(10)`` or ``rad(pi/6)``; None for other text."""
+    found = _ANGLE.fullmatch(text)
+    if found is None:
+        return None
+    unit, factor, number, divisor = found.groups()
+    size = float(factor or 1.0) * (math.pi if number == "pi" else float(number)) / float(divisor or 1.0)
+    return math.radians(size) if unit == "deg" else size
 
 
 def _nested(file: YamlFile, place: Place, values: dict[str, Any]) -> dict[str, Entry]:

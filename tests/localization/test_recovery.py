@@ -59,7 +59,7 @@ def test_the_share_has_a_bound_and_takes_no_harm_from_extremes():
     assert averages.share == 0.25
 
 
-@pytest.mark.parametrize(("scale", "least_share"), [(8.0, 0.5), (200.0, 0.1), (1.0, 0.5), (8.0, 0.0)])
+@pytest.mark.parametrize(("scale", "least_share"), [(8.0, 0.5), (200.0, 0.1), (1e9, 0.1), (1.0, 0.5), (8.0, 0.0)])
 def test_a_likelihood_is_flattened_until_a_share_of_the_effective_number_is_left(scale, least_share):
     rng = np.random.default_rng(1)
     before, log_likelihood = rng.dirichlet(np.full(500, 0.3)), scale * rng.normal(size=500)

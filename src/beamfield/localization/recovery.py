@@ -257,19 +257,24 @@ def reweigh(
     return log_mean, effective, power
 
 
-# Halvings of the interval of log power: it is found to 0.1%.
-HALVINGS = 12
-LOWEST_POWER = 1e-3
+# The power is looked for among the highest DECADES, then among the next, and found to 0.1% by so many halvings.
+DECADES, HALVINGS = 3.0 * math.log(10.0), 12
+# Nobody asks for less; it ends the search where rounding alone is in the way.
+LOWEST_POWER = 1e-300
 
 
 def _flatten(weights: FloatArray, log_likelihood: FloatArray, target: float, trial: FloatArray) -> tuple[float, float]:
     """Find the power by halving; `trial` ends with its weights."""
-    low, high = math.log(LOWEST_POWER), 0.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if kernels.fill_weights(weights, log_likelihood, math.exp(middle), trial)[1] >= target:
-            low = middle
-        else:
-            high = middle
-    power = math.exp(low)
-    return power, kernels.fill_weights(weights, log_likelihood, power, trial)[1]
+    power, effective = 1.0, 0.0
+    while effective < target and power > LOWEST_POWER:
+        high = math.log(power)
+        low = high - DECADES
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            if kernels.fill_weights(weights, log_likelihood, math.exp(middle), trial)[1] >= target:
+                low = middle
+            else:
+                high = middle
+        power = math.exp(low)
+        effective = kernels.fill_weights(weights, log_likelihood, power, trial)[1]
+    return power, effective

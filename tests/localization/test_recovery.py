@@ -82,6 +82,13 @@ def test_where_few_are_possible_these_are_told_apart():
     assert out[29] / out[0] == pytest.approx(np.exp(10.0))
 
 
+def test_where_only_particles_of_tiny_weight_are_possible_these_are_told_apart():
+    out = np.empty(3)
+    log_mean, effective, power = reweigh(np.array([1.0, 1e-200, 3e-200]), np.array([-np.inf, 0.0, 0.0]), 0.5, out)
+    assert (log_mean, effective, power) == pytest.approx((math.log(4e-200), 1.6, 1.0))
+    assert out == pytest.approx([0.0, 0.25, 0.75])
+
+
 def test_weights_are_left_alone_by_what_is_impossible_everywhere():
     before, out = np.array([0.25, 0.75]), np.array([7.0, 8.0])
     assert reweigh(before, np.full(2, -np.inf), 0.0, out)[0] == -np.inf

@@ -249,6 +249,7 @@ def reweigh(
     power = 1.0
     if least_share > 0.0 and -math.inf < log_mean < math.inf:
         possible = weights[log_likelihood > -math.inf]
+        possible /= possible.max()  # squares of small weights would be 0
         target = least_share * float(possible.sum()) ** 2 / float(np.square(possible).sum())
         if effective < target:
             power, effective = _flatten(weights, log_likelihood, target, trial)

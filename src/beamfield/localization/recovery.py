@@ -9,13 +9,13 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from beamfield.arguments import as_count, check_fields, check_magnitude, require
-from beamfield.detections import Detections
+from beamfield.detections import SPURIOUS, Detections
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import particles as kernels
 from beamfield.localization.particles import free_poses, require_free
 from beamfield.localization.resampling import systematic_indices
-from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_poses import sample_poses
@@ -25,6 +25,8 @@ from beamfield.short_repr import short_repr
 Z_contra = TypeVar("Z_contra", contravariant=True)
 # Effective number of candidates that poses are drawn from by a scan, at least.
 LEAST_EFFECTIVE = 20
+# Candidates where there are several landmarks: of 20, most fit one landmark alone.
+LANDMARK_CANDIDATES = 5000
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,10 @@ class PosesFromScan:
 class PosesFromLandmarks:
     """Poses that fit detected landmarks: (6.41), Table 6.5.
 
+    Features that do not say where the robot could be are left out: spurious ones, those with neither range nor bearing,
+    and those without range where the model has no max_range. Where several are left, 5000 candidates or more are drawn
+    from one feature each, and the poses from these by their weights.
+
     Parameters
     ----------
     model
@@ -222,14 +228,22 @@ class PosesFromLandmarks:
 
     def draw(self, z: Detections, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw n poses (n, 3); (0, 3) if the detections say nothing of the pose."""
+        z = z.subset(np.flatnonzero(self._are_telling(z)))
         if not len(z):
             return np.zeros((0, 3))
         try:
-            drawn = sample_poses(self.model, z, n, rng, grid=self.grid)
+            drawn = sample_poses(self.model, z, n if len(z) == 1 else max(n, LANDMARK_CANDIDATES), rng, grid=self.grid)
         except TooLittleDataError:
             return np.zeros((0, 3))
         weights = np.exp(drawn.log_weights)
         return np.asarray(drawn.poses[systematic_indices(weights / weights.sum(), n, rng)])
+
+    def _are_telling(self, z: Detections) -> BoolArray:
+        """Return which features (k,) bound where the robot can be."""
+        telling = ~np.isnan(z.ranges)
+        if self.model.parameters.max_range is not None:
+            telling |= ~np.isnan(z.bearings)
+        return np.asarray(telling if z.ids is None else telling & (z.ids != SPURIOUS))
 
 
 def reweigh(

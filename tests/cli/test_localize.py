@@ -239,7 +239,7 @@ def test_a_file_is_read_as_the_stacks_that_is_named_and_says_what_it_was_made_fo
     assert "its values were chosen" not in said
     assert "the map's origin has a yaw" not in said
     (folder / "turned.yaml").write_text(re.sub(r"(origin: .*), 0.0\]", r"\1, 0.3]", (folder / "map.yaml").read_text()))
-    run(folder, "--params", str(path), *mine, map_name="turned.yaml")
+    run(folder, "--params", str(path), *mine[2:], map_name="turned.yaml")
     assert "mine.yaml: the map's origin has a yaw of 17.2 degrees: nav2 takes only" in capsys.readouterr().err
 
 

@@ -58,7 +58,7 @@ class RobotState:
     robot, site
         Its name, and its site. Robots of one name at two sites are two robots.
     light
-        "red": a fault to see to now; "amber": one to watch, or runs that cannot be used; "green": nothing found;
+        "red": a fault to see to now; "amber": one to watch, or runs that cannot be used; "green": no fault found;
         "grey": nothing could be tested, as no run could be used or days and robots are too few.
     findings
         Why, and what to do; the worst first.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from beamfield.finding import Finding
-from beamfield.fleet.comparison import FEWEST_ROBOTS
+from beamfield.fleet.comparison import COMPARISON_TAKES
 from beamfield.fleet.daily import FaultKind
 from beamfield.fleet.drift import FEWEST_DAYS, Drift
 from beamfield.fleet.made_tests import untested_of
@@ -156,8 +156,7 @@ def _untested() -> Finding:
     return Finding(
         "untested",
         "info",
-        f"Nothing could be tested: a change takes {2 * FEWEST_DAYS} days of runs, and a comparison {FEWEST_ROBOTS} "
-        "robots.",
+        f"Nothing could be tested: a change takes {2 * FEWEST_DAYS} days of runs, and a comparison {COMPARISON_TAKES}.",
         do="Scan more days, or more robots, into the catalogue.",
     )
 

@@ -302,10 +302,10 @@ def test_odometry_in_millimetres_is_no_robots(folder, capsys):
     assert "steps of the odometry are longer than a robot drives" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["calibrate", "check", "evaluate", "localize", "map", "trajectory"])
+@pytest.mark.parametrize("command", ["calibrate", "check", "evaluate", "likelihood", "localize", "map", "trajectory"])
 def test_readings_in_millimetres_are_refused_on_one_line(folder, capsys, command):
-    params = ("--params", str(folder / "nav2.yaml")) if command == "evaluate" else ()
-    assert main([command, str(folder / "far.log"), "--map", str(folder / "map.yaml"), "--quiet", *params]) == 1
+    more = {"evaluate": ["--params", str(folder / "nav2.yaml")], "likelihood": ["--scan", "0"]}.get(command, [])
+    assert main([command, str(folder / "far.log"), "--map", str(folder / "map.yaml"), "--quiet", *more]) == 1
     assert "expected readings in metres, not millimetres" in capsys.readouterr().err.splitlines()[-1]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -120,6 +121,18 @@ def test_a_filter_may_read_a_map_of_its_own_and_files_of_one_name_are_told_apart
     assert evaluate(world, tmp_path / "out", "--seeds", "1", params=params[1:]) == 0
     assert noted in capsys.readouterr().err
     assert evaluate(world, tmp_path / "out", *maps[:2], params=params) == 2
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_map_that_a_program_misreads_is_noted_with_the_file_whose_filter_reads_it(world, tmp_path, capsys):
+    turned = world / "drive" / "turned.yaml"
+    turned.write_text(re.sub(r"(origin: .*), 0.0\]", r"\1, 0.3]", (world / "drive" / "map.yaml").read_text()))
+    maps = ("--filter-maps", str(world / "drive" / "map.yaml"), str(turned))
+    params = ("sighted.yaml", "blind.yaml")
+    assert evaluate(world, tmp_path / "out", "--seeds", "1", *maps, "--stack", "nav2", params=params) == 0
+    said = capsys.readouterr().err
+    assert "blind.yaml: the map's origin has a yaw of 17.2 degrees: nav2 takes only the origin's x and y" in said
+    assert "sighted.yaml: the map's origin" not in said
 
 
 @pytest.mark.parametrize(

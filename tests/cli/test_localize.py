@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -234,7 +235,12 @@ def test_a_file_is_read_as_the_stacks_that_is_named_and_says_what_it_was_made_fo
     assert "read as" not in said.err
     (folder / "amcl_map.yaml").write_text(f"# map.yaml {OF_MOVED_MAP} 0.05 m\n" + (folder / "map.yaml").read_text())
     assert run(folder, "--params", str(path), *mine, map_name="amcl_map.yaml") == 0
-    assert "its values were chosen" not in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "its values were chosen" not in said
+    assert "the map's origin has a yaw" not in said
+    (folder / "turned.yaml").write_text(re.sub(r"(origin: .*), 0.0\]", r"\1, 0.3]", (folder / "map.yaml").read_text()))
+    run(folder, "--params", str(path), *mine[2:], map_name="turned.yaml")
+    assert "mine.yaml: the map's origin has a yaw of 17.2 degrees: nav2 takes only" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -296,10 +302,10 @@ def test_odometry_in_millimetres_is_no_robots(folder, capsys):
     assert "steps of the odometry are longer than a robot drives" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["calibrate", "check", "evaluate", "localize", "map", "trajectory"])
+@pytest.mark.parametrize("command", ["calibrate", "check", "evaluate", "likelihood", "localize", "map", "trajectory"])
 def test_readings_in_millimetres_are_refused_on_one_line(folder, capsys, command):
-    params = ("--params", str(folder / "nav2.yaml")) if command == "evaluate" else ()
-    assert main([command, str(folder / "far.log"), "--map", str(folder / "map.yaml"), "--quiet", *params]) == 1
+    more = {"evaluate": ["--params", str(folder / "nav2.yaml")], "likelihood": ["--scan", "0"]}.get(command, [])
+    assert main([command, str(folder / "far.log"), "--map", str(folder / "map.yaml"), "--quiet", *more]) == 1
     assert "expected readings in metres, not millimetres" in capsys.readouterr().err.splitlines()[-1]
 
 

@@ -60,6 +60,8 @@ def test_csv_and_yaml_say_the_same(tmp_path: Path):
         ("log,map,robot,site,mount\na,m,r,s,1 2\n", ":2: mount: expected three numbers, x y degrees, got ['1', '2']"),
         ("log,map,robot,site,start,poses\na,m,r,s,1 2 3,p\n", ":2: start: is for a log without poses"),
         (f"log,map,robot,site\na,m,{'r' * 101},s\n", ":2: robot: expected at most 100 characters that print"),
+        (f"log,map,robot,site\na,m,r,{'я' * 39}\n", f":2: site: '{'я' * 39}' is too long for file names: 234 char"),
+        ("log\tmap\trobot\tsite\n", r":1: no column is named 'log\tmap\trobot\tsite'; columns are separated by commas"),
         ("log,map,robot,site,lone-poses\na,m,r,s,odom\n", ":2: lone-poses: expected reference or odometry, got 'odom'"),
         ("log,map,robot,site\n", ": no logs: the manifest has no rows"),
         ('log,map,robot,site\n"a,m,r,s\n', ":2: not a line of CSV in UTF-8"),
@@ -124,6 +126,15 @@ def test_a_folder_is_sites_of_robots_with_a_map_each(tmp_path: Path):
     # A manifest in the folder says more.
     written(tmp_path, "manifest.csv", CSV)
     assert [row.log for row in read_manifest(tmp_path)] == ["a.bag", "/b.bag"]
+
+
+def test_a_folder_whose_name_is_no_robots_is_said(tmp_path: Path):
+    robot = tmp_path / "hall" / ("я" * 39)
+    robot.mkdir(parents=True)
+    for file in (tmp_path / "hall/map.yaml", robot / "a.log"):
+        file.write_text("x")
+    with pytest.raises(FormatError, match=f"'{'я' * 39}' is too long for file names"):
+        read_manifest(tmp_path)
 
 
 def test_what_is_no_manifest_is_said(tmp_path: Path):

@@ -169,7 +169,7 @@ def test_what_was_not_tested_is_said_of_each_robot_and_of_the_fleet(report, tmp_
     assert states["r5"].not_tested == ("change over the days", "comparison with other robots")
     write_fleet_report(tmp_path, report)
     page = (tmp_path / "fleet_report.html").read_text()
-    assert "1 robot: nothing found, but not everything was tested" in page
+    assert "1 robot: no fault found, but not everything was tested" in page
     assert "comparison with other robots; dirty lens; turned mount; wheel scale" in page
     assert "<td>5 of 6 robots</td><td>4 days of runs</td>" in page
     assert [one["name"] for one in json.loads((tmp_path / "fleet_report.json").read_text())["tests"]][-1] == "maps"
@@ -184,7 +184,13 @@ def test_without_a_fault_all_is_well_only_where_everything_was_tested(report):
         report, records=tuple(records), drifts=tuple(compared), states=robot_states(records, compared),
         stale_maps=(replace(report.stale_maps[0], places=()),), differences=tuple(differences), hierarchies=(),
     )  # fmt: skip
-    assert "All well" in render_fleet_page(well)
+    page = render_fleet_page(well)
+    assert "All well" in page
+    assert "1 robot: no fault found</span>" in page
+    # A robot that the comparison of parameters names is not passed over in its light's line.
+    unlike = render_fleet_page(replace(well, differences=(replace(differences[0], differs=True),)))
+    assert "1 robot: no fault found; unlike the others in parameters: r3</span>" in unlike
+    assert '<td>sigma_hit</td><td class="n">6 of 6</td>' in unlike
     for less in (
         {"differences": ()},
         {"drifts": tuple(one for one in compared if one.since)},

@@ -137,6 +137,38 @@ def test_logs_that_are_there_are_not_read_again_and_a_changed_one_takes_its_plac
     assert len(moved.catalogue.shards()) == 4
 
 
+def test_a_log_that_was_renamed_is_kept_when_another_takes_its_name(own: Path, drive: SensorLog):
+    before = again(own)
+    (own / "run1.log").rename(own / "old.log")
+    write_log(own / "run1.log", part_of(drive, 300, NOON + 1e5))
+    manifest = (own / "fleet.csv").read_text()
+    (own / "fleet.csv").write_text(manifest + "old.log,office.yaml,ann,hall\n")
+    rotated = again(own)
+    assert rotated.records[4] == replace(before.records[1], log="old.log")
+    assert (rotated.replaced, len(rotated.scanned), len(rotated.catalogue.used)) == ((), 1, 5)
+    # No longer listed, it stays, as others do, when the name is used once more.
+    (own / "fleet.csv").write_text(manifest)
+    write_log(own / "run1.log", part_of(drive, 360, NOON + 2e5))
+    later = again(own)
+    assert later.replaced == rotated.scanned
+    assert rotated.records[4].run in {record.run for record in later.catalogue.used}
+
+
+def test_a_copy_never_hides_its_log_and_is_scanned_once_it_is_the_only_one(own: Path):
+    manifest = (own / "fleet.csv").read_text()
+    shutil.copy(own / "run0.log", own / "a.log")
+    shutil.copy(own / "run0.log", own / "b.log")
+    (own / "fleet.csv").write_text(manifest + "a.log,office.yaml,ann,hall\nb.log,office.yaml,bob,hall\n")
+    for done in (again(own), again(own)):
+        assert [record.is_used for record in done.records] == [True] * 4 + [False] * 2
+        assert done.records[0].log == "run0.log"
+    # It was bob's: the rows that said ann go.
+    (own / "fleet.csv").write_text(manifest.replace("run0.log,office.yaml,ann", "b.log,office.yaml,bob"))
+    corrected = again(own)
+    assert (corrected.records[0].is_used, corrected.records[0].log) == (True, "b.log")
+    assert [record.robot for record in corrected.catalogue.used] == ["ann", "bob", "bob", "bob"]
+
+
 def test_an_interrupted_scan_goes_on_and_gives_the_same_bytes(own: Path, tmp_path, monkeypatch):
     written = []
 

@@ -291,6 +291,16 @@ def test_an_impossible_measurement_changes_no_weight(room, recovery):
     assert np.isfinite(own.belief.poses).all()
 
 
+def test_how_well_scans_fit_by_the_coarse_model_is_no_measure_for_the_other(room):
+    """The model's own likelihood is lower, but does not fall: nothing is drawn anew after a start from anywhere."""
+    options = FilterOptions(n_particles=200, recovery=Recovery(), **ALWAYS)
+    own = ParticleFilter(Given(-50.0), GaussianMotion(0, 0, 0, 0, 0), options, source=FreePoses(room), rng=0)
+    own.start(np.random.default_rng(0).normal(0.0, [2.0, 2.0, 0.1], (6000, 3)), coarse=Position(0.1))
+    used = [own.update(np.zeros(2), np.zeros(3)) for _ in range(10)]
+    assert own.is_found
+    assert [update.n_replaced for update in used] == [0] * 10
+
+
 def test_a_filter_that_has_not_started_has_found_nothing():
     own = ParticleFilter(Given(0.0), GaussianMotion(), rng=0)
     assert (own.is_found, own.odometry_jumps) == (False, 0)
@@ -358,6 +368,19 @@ def test_what_models_must_not_return_is_refused():
     own.start(np.zeros((5, 3)))
     with pytest.raises(InvalidInputError, match="odometry"):
         own.update(None, np.zeros((2, 3)))
+
+
+def test_the_motion_before_a_measurement_that_the_model_refuses_is_not_lost():
+    model = Given(0.0)
+    own = ParticleFilter(model, GaussianMotion(0, 0, 0, 0, 0), FilterOptions(n_particles=10), rng=0)
+    own.start(np.zeros((10, 3)))
+    own.update(None, np.zeros(3), 0.0)
+    model.values = np.inf
+    with pytest.raises(InvalidInputError, match="below"):
+        own.update(None, [1.0, 0.0, 0.0], 1.0)
+    assert own.pose == pytest.approx([1.0, 0.0, 0.0])
+    model.values = 0.0
+    assert own.update(None, [1.2, 0.0, 0.0], 1.2).belief.poses == pytest.approx(np.tile([1.2, 0.0, 0.0], (10, 1)))
 
 
 @pytest.mark.parametrize(

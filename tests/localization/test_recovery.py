@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from beamfield.detections import Detections
+from beamfield.detections import SPURIOUS, Detections
 from beamfield.errors import InvalidInputError
+from beamfield.geometry import wrap_angle
 from beamfield.localization.recovery import (
     FreePoses,
     LikelihoodAverages,
@@ -59,7 +60,7 @@ def test_the_share_has_a_bound_and_takes_no_harm_from_extremes():
     assert averages.share == 0.25
 
 
-@pytest.mark.parametrize(("scale", "least_share"), [(8.0, 0.5), (200.0, 0.1), (1.0, 0.5), (8.0, 0.0)])
+@pytest.mark.parametrize(("scale", "least_share"), [(8.0, 0.5), (200.0, 0.1), (1e9, 0.1), (1.0, 0.5), (8.0, 0.0)])
 def test_a_likelihood_is_flattened_until_a_share_of_the_effective_number_is_left(scale, least_share):
     rng = np.random.default_rng(1)
     before, log_likelihood = rng.dirichlet(np.full(500, 0.3)), scale * rng.normal(size=500)
@@ -80,6 +81,13 @@ def test_where_few_are_possible_these_are_told_apart():
     log_likelihood[:30] = np.linspace(0.0, 10.0, 30)
     assert reweigh(np.full(2000, 1.0 / 2000), log_likelihood, 0.02, out)[2] == 1.0
     assert out[29] / out[0] == pytest.approx(np.exp(10.0))
+
+
+def test_where_only_particles_of_tiny_weight_are_possible_these_are_told_apart():
+    out = np.empty(3)
+    log_mean, effective, power = reweigh(np.array([1.0, 1e-200, 3e-200]), np.array([-np.inf, 0.0, 0.0]), 0.5, out)
+    assert (log_mean, effective, power) == pytest.approx((math.log(4e-200), 1.6, 1.0))
+    assert out == pytest.approx([0.0, 0.25, 0.75])
 
 
 def test_weights_are_left_alone_by_what_is_impossible_everywhere():
@@ -132,6 +140,39 @@ def test_poses_from_landmarks_lie_on_the_ring_around_one_or_are_none(room):
     assert np.hypot(poses[:, 0] - 5.0, poses[:, 1] - 1.0) == pytest.approx(np.full(200, 1.5), abs=0.25)
     assert len(source.draw(Detections([], []), 10, rng)) == 0
     assert len(source.draw(Detections([500.0], [0.0], ids=[1]), 10, rng)) == 0
+
+
+LANDMARKS = np.array([[5.0, 1.0], [0.0, 4.0], [-3.0, -2.0]])
+TRUTH = np.array([1.0, 0.5, 0.7])
+OFF = LANDMARKS - TRUTH[:2]
+RANGES, BEARINGS = np.hypot(OFF[:, 0], OFF[:, 1]), wrap_angle(np.arctan2(OFF[:, 1], OFF[:, 0]) - TRUTH[2])
+
+
+def test_a_few_poses_from_several_landmarks_fit_all_of_them():
+    parameters = LandmarkParameters(sigma_range=0.1, sigma_bearing=0.05)
+    source = PosesFromLandmarks(LandmarkModel(LandmarkMap(LANDMARKS), parameters, correspondence="known"))
+    seen = Detections(RANGES, BEARINGS, ids=[1, 2, 3])
+    rng = np.random.default_rng(0)
+    poses = np.concatenate([source.draw(seen, 3, rng) for _ in range(20)])
+    # The posterior's standard deviation is 0.08 m.
+    assert np.hypot(*(poses[:, :2] - TRUTH[:2]).T).max() < 0.4
+
+
+@pytest.mark.parametrize("max_range", [None, 10.0])
+def test_features_that_do_not_bound_the_pose_are_left_out(max_range):
+    parameters = LandmarkParameters(sigma_range=0.1, sigma_bearing=0.05, max_range=max_range)
+    source = PosesFromLandmarks(LandmarkModel(LandmarkMap(LANDMARKS), parameters, correspondence="known"))
+    ranges, bearings = [RANGES[0], 3.0, np.nan, np.nan], [BEARINGS[0], 0.0, np.nan, BEARINGS[1]]
+    ids = [1, SPURIOUS, 2, 2]
+    poses = source.draw(Detections(ranges, bearings, ids=ids), 50, np.random.default_rng(0))
+    from_first = np.hypot(poses[:, 0] - 5.0, poses[:, 1] - 1.0)
+    assert from_first == pytest.approx(np.full(50, RANGES[0]), abs=0.5)
+    # With max_range, the bearing of the second tells where on the ring.
+    assert bool(np.hypot(*(poses[:, :2] - TRUTH[:2]).T).max() < 1.0) is (max_range is not None)
+    assert source.draw(Detections(ranges[1:3], bearings[1:3], ids=ids[1:3]), 5, np.random.default_rng(0)).shape == (
+        0,
+        3,
+    )
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,9 @@ def test_scans_without_reference_or_pose_do_not_count():
     assert found.mean == pytest.approx(0.1)
     assert found.nees_median == pytest.approx(1.0)
     assert (found.updates, found.particles, found.update_ms) == (2, 15.0, 4.0)
+    # One of the two updates is judged.
+    assert "ellipse in 100% of the updates with a reference (100% with 0.03 m" in found.summary()
+    assert "15 particles, standard deviation 0.212 m, 2 updates of 4 ms" in found.summary()
 
 
 def test_squares_are_those_of_the_inverse(rng):

@@ -66,8 +66,14 @@ def test_headings_are_averaged_as_numbers():
     near_pi = f1tenth_filter().run(drive(2), start, np.random.default_rng(1))
     assert abs(near_pi.poses[0, 2] - math.pi) < 0.2  # they run on past pi
     # From anywhere they are spread over the whole circle, and their mean says nothing.
-    anywhere = f1tenth_filter().run(drive(1), None, np.random.default_rng(1))
+    clouds = []
+    anywhere = f1tenth_filter().run(
+        drive(1), None, np.random.default_rng(1), watch=lambda _, poses, __: clouds.append(poses)
+    )
     assert np.isfinite(anywhere.poses).all()
+    # From 0 to 2 pi in the map's axes, and the noise of a step.
+    yaw = small_room().origin[2]
+    assert (clouds[0][:, 2].min() - yaw, clouds[0][:, 2].max() - yaw) == pytest.approx((0.0, 2.0 * math.pi), abs=0.2)
 
 
 @pytest.mark.parametrize("case", ["all weights zero", "nothing measured"])

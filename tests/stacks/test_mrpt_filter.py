@@ -162,6 +162,9 @@ def test_particles_start_evenly_over_the_free_cells_of_a_box(rng):
     assert np.abs(poses[:, :2] - 1.0).max() < 0.3 + 0.1 + 0.1
     assert poses[:, 2].min() == pytest.approx(2.4, abs=0.01)
     assert poses[:, 2].max() == pytest.approx(math.pi, abs=0.01)  # cut off, not wrapped
+    turned = PoseBelief.around([1.0, 1.0, 3.0 - 2.0 * math.pi], sd_position=0.1, sd_heading=0.2)
+    again = initial_poses(grid, turned, 3.0, 4000, 10, rng)
+    assert (again[:, 2].min(), again[:, 2].max()) == pytest.approx((2.4, math.pi), abs=0.01)
     cells = grid.look_up(grid.free, poses[:, :2])
     assert 0.9 < cells.mean() < 1.0  # up to a cell off a free one
     assert len(initial_poses(grid, start, 3.0, 0, 10, rng)) == 100  # of 10 square metres at least

@@ -101,6 +101,17 @@ def test_draws_are_those_of_a_literal_transcription(model, literal, odometry):
         assert abs(wrap_angle(result[2] - expected[2])) < 1e-12
 
 
+@pytest.mark.parametrize("heading", [0.0, 2.9, -3.0])
+@pytest.mark.parametrize("name", ["nav2 differential", "Beluga differential", "MRPT Thrun"])
+def test_a_turn_on_the_spot_is_as_noisy_whatever_the_heading(name, heading):
+    model, literal = MODELS[name]
+    odometry = [[1.0, 2.0, heading], [1.0, 2.0, heading + 1.2]]
+    normals = np.random.default_rng(5).standard_normal((1, 6))
+    n_used = 6 if isinstance(model, MrptMotion) else 3
+    drawn = model.sample(np.zeros((1, 3)), odometry, np.random.default_rng(5))[0]
+    np.testing.assert_allclose(drawn, literal(np.zeros(3), odometry, normals[0, :n_used]), atol=1e-12)
+
+
 @pytest.mark.parametrize("odometry", STEPS.values(), ids=STEPS.keys())
 def test_mrpt_gaussian_has_the_mean_and_covariance_of_its_source(odometry):
     model = MrptMotion(a1=0.1, a2=0.05, a3=math.degrees(0.07), a4=0.2)

@@ -132,13 +132,10 @@ def _read_map(arguments: argparse.Namespace) -> tuple[OccupancyGrid, MapFile]:
     from beamfield.stacks.doctor.subject import MapFile
 
     path, grid = arguments.map, inputs.read_grid(arguments)
-    yaw = float(grid.origin[2])
     if path.suffix not in (".yaml", ".yml"):
-        return grid, MapFile(path.name, yaw=yaw)
+        return grid, MapFile(path.name)
     mode = str(read_yaml(path).values.get("mode", "trinary"))
-    return grid, MapFile(
-        path.name, mode, yaw, tuple(ros_map_notes(path)), between_share(path) if mode == "trinary" else 0.0
-    )
+    return grid, MapFile(path.name, mode, tuple(ros_map_notes(path)), between_share(path) if mode == "trinary" else 0.0)
 
 
 def _as_text(file: StackFile, found: tuple[Finding, ...]) -> str:

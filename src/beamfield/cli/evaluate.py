@@ -89,10 +89,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with options.progress(arguments) as progress:
         progress("reading the map", 0, 1)
         grid = inputs.read_walls(arguments)
-        filters = _filters(arguments, settings, grid, progress)
+        maps = _maps(arguments, list(files), grid)
+        filters = _filters(settings, maps, progress)
         progress("reading the logs", 0, 1)
         logs, more = _read_logs(arguments, grid, progress)
-        more += _errors(files, grid, next(iter(logs.values())))
+        more += _errors(files, maps, next(iter(logs.values())))
         evaluation = _evaluate(arguments, filters, logs, progress)
         document = {
             "provenance": provenance(arguments),
@@ -145,29 +146,36 @@ def _read_files(arguments: argparse.Namespace) -> tuple[dict[str, StackFile], li
     return files, notes
 
 
-def _errors(files: Mapping[str, StackFile], grid: OccupancyGrid, log: SensorLog) -> list[str]:
-    """Return what makes a parameter file useless, such as weights that are all zero."""
-    from beamfield.stacks.doctor.examine import examine
+def _errors(
+    files: Mapping[str, StackFile], maps: Mapping[str, tuple[Path, OccupancyGrid]], log: SensorLog
+) -> list[str]:
+    """Return what makes a parameter file useless, such as weights that are all zero or a map that it misreads."""
+    from beamfield.stacks.doctor.examine import error_notes
 
-    return [
-        f"{name}: {finding.text}: {finding.why}"
-        for name, file in files.items()
-        for finding in examine(file, grid=grid, log=log)
-        if finding.severity == "error"
-    ]
+    return [f"{name}: {note}" for name, file in files.items() for note in error_notes(file, maps[name][1], log)]
+
+
+def _maps(
+    arguments: argparse.Namespace, names: list[str], grid: OccupancyGrid
+) -> dict[str, tuple[Path, OccupancyGrid]]:
+    """Return the map that each parameter file's filter reads, and its file."""
+    from beamfield.io.read_map import read_map
+
+    paths = arguments.filter_maps or [arguments.map] * len(names)
+    return {
+        name: (path, grid if path == arguments.map else read_map(path, topic=arguments.map_topic))
+        for name, path in zip(names, paths, strict=True)
+    }
 
 
 def _filters(
-    arguments: argparse.Namespace, settings: Mapping[str, FilterSettings], grid: OccupancyGrid, progress: StageProgress
+    settings: Mapping[str, FilterSettings], maps: Mapping[str, tuple[Path, OccupancyGrid]], progress: StageProgress
 ) -> dict[str, ReplayedFilter]:
     """Return the filter of each parameter file, on the map that it reads."""
-    from beamfield.io.read_map import read_map
-
     filters: dict[str, ReplayedFilter] = {}
-    paths = arguments.filter_maps or [arguments.map] * len(settings)
-    for (name, one), path in zip(settings.items(), paths, strict=True):
+    for name, one in settings.items():
         progress(f"preparing {name}", 0, 1)
-        read = grid if path == arguments.map else read_map(path, topic=arguments.map_topic)
+        path, read = maps[name]
         try:
             filters[name] = one.filter(read)
         except InvalidInputError as error:

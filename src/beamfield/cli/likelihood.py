@@ -22,7 +22,7 @@ from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
 from beamfield.cli.wording import pose_text
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import FormatError, InvalidInputError, about_file
 
 if TYPE_CHECKING:
     from beamfield.localization.likelihood_map import LikelihoodMap
@@ -81,6 +81,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Read, evaluate, draw."""
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.localization.likelihood_map import likelihood_map
+    from beamfield.maps.range_scale import require_metres
 
     options.check_output(arguments.out, "out", *options.PICTURES)
     options.check_output(arguments.npz, "npz", ".npz")
@@ -88,6 +89,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)
         if not grid.free.any():
             raise FormatError(arguments.map, "the map has no free cell, so there is no place to compare")
+        with about_file(arguments.log):
+            require_metres(sensor, grid)
         scan = _scan(sensor, arguments)
         measured, model, more = _measurement_and_model(sensor, scan, grid, arguments)
         result = likelihood_map(

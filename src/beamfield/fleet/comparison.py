@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import stdtr
 from scipy.stats import false_discovery_control
 
@@ -19,6 +20,9 @@ from beamfield.geometry import FloatArray
 FALSE_DISCOVERIES = 0.05
 # With fewer robots than this nobody knows what is usual.
 FEWEST_ROBOTS = 5
+# A site with so many has a centre of its own: of two robots nobody knows which one is odd.
+FEWEST_AT_SITE = 3
+COMPARISON_TAKES = f"{FEWEST_ROBOTS} robots at sites with {FEWEST_AT_SITE} or more, or {FEWEST_ROBOTS} sites"
 # Corrections of Qn for 2 to 9 values (Croux and Rousseeuw).
 _SMALL = (0.399, 0.994, 0.512, 0.844, 0.611, 0.857, 0.669, 0.872)
 # Huber's bound, standard deviations: 95% efficient on normal data.
@@ -101,7 +105,7 @@ def adjusted(p_values: list[float]) -> list[float]:
 
 
 class Unlike(NamedTuple):
-    """How far robots are from the others.
+    """How far robots are from the others; NaN where there are too few to compare with.
 
     Parameters
     ----------
@@ -112,13 +116,13 @@ class Unlike(NamedTuple):
     p_values
         Two-sided, (n,).
     dof
-        Degrees of freedom of Student's distribution behind them.
+        Degrees of freedom of Student's distribution behind them, (n,).
     """
 
     centres: FloatArray
     errors: FloatArray
     p_values: FloatArray
-    dof: float
+    dof: FloatArray
 
 
 def unlike_others(values: FloatArray, variances: FloatArray, sites: Sequence[str] = ()) -> Unlike:
@@ -129,15 +133,18 @@ def unlike_others(values: FloatArray, variances: FloatArray, sites: Sequence[str
     values, variances
         Estimates, and their error variances, shape (n,), n >= 5.
     sites
-        Each robot's, where sites may differ: robots are then compared with the centre of their site, if it has 5
-        robots, but differences are judged by how much all robots differ from theirs.
+        Each robot's, where sites may differ: robots are then compared with the centre of their site, if it has 3
+        robots, and judged by how much all robots of such sites (5 at least) differ from theirs. Robots of smaller sites
+        are compared with one robot of each site (5 at least): what is the robot's cannot be told from what is the
+        site's, and both vary.
 
     Notes
     -----
     Centres are Huber's. How much robots differ is Qn, which up to half of them cannot spoil: that variance between
     robots with which Qn of the standardised values is 1, at least 0. The tail is Student's with n - 1 - 2 c degrees of
     freedom for c centres of m robots each, and the variance is taken m / (m - 1) times as large. In simulated normal
-    fleets of 5 to 60 robots in up to 8 sites, p-values down to 0.0003 come at most 1.1 times as often as they say.
+    fleets of 5 to 60 robots in up to 8 sites, which differ by up to 30 times as much as robots, p-values down to 0.0003
+    come at most 1.1 times as often as they say.
 
     References
     ----------
@@ -151,18 +158,38 @@ def unlike_others(values: FloatArray, variances: FloatArray, sites: Sequence[str
     >>> int(p.argmin()), bool(p.min() < 1e-3), bool(np.sort(p)[1] > 0.1)
     (7, True, True)
     """
-    names, robots = np.unique(np.asarray(sites or [""] * len(values)), return_inverse=True)
-    medians = np.array([np.median(values[robots == k]) for k in range(len(names))])
-    scale = _qn(values - medians[robots]) ** 2 + variances
-    large = [k for k in range(len(names)) if np.count_nonzero(robots == k) >= FEWEST_ROBOTS]
-    centres, members = np.full(len(values), _huber(values, scale)), np.full(len(values), float(len(values)))
-    for k in large:
-        centres[robots == k] = _huber(values[robots == k], scale[robots == k])
-        members[robots == k] = np.count_nonzero(robots == k)
-    dof = max(len(values) - 1.0 - 2.0 * max(len(large) + (len(large) < len(names)), 1), 1.0)
+    _, first, group, counts = np.unique(
+        np.asarray(sites or [""] * len(values)), return_index=True, return_inverse=True, return_counts=True
+    )
+    found = Unlike(*np.full((4, len(values)), np.nan))
+    large = np.flatnonzero(counts[group] >= FEWEST_AT_SITE)
+    small = np.flatnonzero(counts[group] < FEWEST_AT_SITE)
+    if len(large) >= FEWEST_ROBOTS:
+        within = _judged(values[large], variances[large], np.unique(group[large], return_inverse=True)[1])
+        for column, of_large in zip(found, within, strict=True):
+            column[large] = of_large
+    if len(small) and len(first) >= FEWEST_ROBOTS:
+        # The first of each site stands for it: a mean of several would vary less than a robot does.
+        across = _judged(values[first], variances[first], np.zeros(len(first), np.int64))
+        total = across.errors[0] ** 2 - variances[first[0]] * len(first) / (len(first) - 1.0)
+        found.centres[small], found.dof[small] = across.centres[0], across.dof[0]
+        found.errors[small] = np.sqrt(total + variances[small] * len(first) / (len(first) - 1.0))
+        t = np.abs(values[small] - found.centres[small]) / found.errors[small]
+        found.p_values[small] = 2.0 * stdtr(found.dof[small], -t)
+    return found
+
+
+def _judged(values: FloatArray, variances: FloatArray, group: NDArray[np.int64]) -> Unlike:
+    """Compare robots with the centre of their group, 0 to c - 1, and judge them by how all differ from theirs."""
+    n_groups, n = int(group.max()) + 1, len(values)
+    medians = np.array([np.median(values[group == k]) for k in range(n_groups)])
+    scale = _qn(values - medians[group]) ** 2 + variances
+    centres = np.array([_huber(values[group == k], scale[group == k]) for k in range(n_groups)])[group]
+    members = np.bincount(group)[group]
     total = (variances + _variance_between(values - centres, variances)) * members / (members - 1.0)
-    t = np.abs(values - centres) / np.sqrt(total)
-    return Unlike(centres, np.sqrt(total), np.asarray(2.0 * stdtr(dof, -t)), dof)
+    dof = max(n - 1.0 - 2.0 * n_groups, 1.0)
+    p_values = 2.0 * stdtr(dof, -np.abs(values - centres) / np.sqrt(total))
+    return Unlike(centres, np.sqrt(total), np.asarray(p_values), np.full(n, dof))
 
 
 def _rows(group: Sequence[GroupFit]) -> list[tuple[GroupFit, str, float, float]]:

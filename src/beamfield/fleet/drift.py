@@ -130,7 +130,7 @@ def find_drift(series: Sequence[DailySeries]) -> tuple[Drift, ...]:
     after.
 
     From the first day: the mean of a robot's days (those before its change, if it has one) against that of the others,
-    by `unlike_others`; of its site where that has 5 robots, so that a map's bias is no robot's.
+    by `unlike_others`: of its site where that has 3 robots, so that a map's bias is no robot's; else of 5 sites.
 
     One change per series is found, the largest. The bound holds for one report: who reads one every day about the same
     days sees mostly the same alarms, and who reads 365 new ones may see 365 times as many.
@@ -243,9 +243,11 @@ def _unlike_from_first_day(family: list[DailySeries], changes: list[_Change | No
         unlike = unlike_others(means, variances, [item.site for item, _ in members])
         for j, (item, _) in enumerate(members):
             size, p = float(means[j] - unlike.centres[j]), float(unlike.p_values[j])
+            if math.isnan(p):
+                continue
             if item.cause:
                 p = 0.5 * p if size > 0.0 else 1.0
-            change = _Change(0, size, float(unlike.errors[j]), unlike.dof, p)
+            change = _Change(0, size, float(unlike.errors[j]), float(unlike.dof[j]), p)
             entries.append(_Entry(change, item, float(item.values[: days[j]].mean())))
     for of_robot in _grouped(entries, lambda entry: (entry.series.site, entry.series.robot)):
         yield _row(of_robot, before_is_known=False)

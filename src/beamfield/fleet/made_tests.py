@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from beamfield.fleet.comparison import FEWEST_ROBOTS, Difference
+from beamfield.fleet.comparison import COMPARISON_TAKES, FEWEST_ROBOTS, Difference
 from beamfield.fleet.daily import UNITS
 from beamfield.fleet.drift import FEWEST_DAYS, Drift
 from beamfield.fleet.stale_map import StaleMap
@@ -70,13 +70,13 @@ def made_tests(
     def of_robots(name: str, found: Sequence[Drift | Difference], takes: str) -> MadeTest:
         return MadeTest(name, len({(one.robot, one.site) for one in found}), len(robots), "robot", takes)
 
-    robots_needed, days_needed = f"{FEWEST_ROBOTS} robots", f"{2 * FEWEST_DAYS} days of runs"
+    days_needed = f"{2 * FEWEST_DAYS} days of runs"
     # Where nothing was tested, each fault would say the same once more.
     faults = [
         of_robots(
             kind.replace("-", " "),
             [one for one in drifts if one.fault == kind],
-            f"{days_needed} or {robots_needed}{', and odometry that shows it' * (kind in FROM_ODOMETRY)}",
+            f"a test over days or against other robots{', and odometry that shows it' * (kind in FROM_ODOMETRY)}",
         )
         for kind in UNITS
         if drifts
@@ -84,8 +84,8 @@ def made_tests(
     n_maps = sum(one.days >= FEWEST_MAP_DAYS for one in maps)
     return (
         of_robots(OVER_DAYS, [one for one in drifts if one.since is not None], days_needed),
-        of_robots(AGAINST_OTHERS, [one for one in drifts if one.since is None], robots_needed),
+        of_robots(AGAINST_OTHERS, [one for one in drifts if one.since is None], COMPARISON_TAKES),
         *faults,
-        of_robots("parameters", differences, f"{robots_needed} with range finders of the same limits"),
+        of_robots("parameters", differences, f"{FEWEST_ROBOTS} robots with range finders of the same limits"),
         MadeTest("maps", n_maps, len(maps), "map", f"{FEWEST_MAP_DAYS} days of runs"),
     )

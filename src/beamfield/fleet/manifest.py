@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
+from urllib.parse import quote
 
 from beamfield.errors import FormatError
 from beamfield.fleet.folder import Folder, is_address, without_secrets
@@ -24,6 +25,8 @@ X_Y_DEGREES = ("start", "mount")
 NAMES = ("manifest.yaml", "manifest.yml", "manifest.csv")
 MAX_YAML_BYTES = 10_000_000
 LONGEST_NAME = 100
+# Percent-encoded, a name is part of a file's: of 255 bytes, which what stands beside it shares.
+LONGEST_ENCODED = 230
 _LOGS = (".log", ".log.gz", ".carmen", ".carmen.gz", ".clf", ".clf.gz", ".gfs", ".gfs.gz", ".g2o", ".g2o.gz", ".bag",
          ".mcap", ".db3")  # fmt: skip
 _POSES = (".tum", ".csv", ".tum.gz", ".csv.gz")
@@ -191,7 +194,7 @@ def _check_names(path: Path, names: Sequence[str], line: int, what: str) -> None
         if name not in known:
             close = difflib.get_close_matches(name, known, n=1)
             meant = f"; did you mean {close[0]!r}?" if close else f"; expected some of {', '.join(known)}"
-            if ";" in name:
+            if ";" in name or "\t" in name:
                 meant = "; columns are separated by commas"
             raise FormatError(path, f"no {what} is named {shorten(name)}{meant}", line=line)
         if names.count(name) > 1:
@@ -214,16 +217,22 @@ def _row(path: Path, line: int, values: Mapping[str, Any]) -> ManifestRow:
             path, f"expected {' or '.join(get_args(LonePoses))}, got {rule!r}", line=line, field="lone-poses"
         )
     for name in ("robot", "site"):
-        if len(values[name]) > LONGEST_NAME or not values[name].isprintable():
-            raise FormatError(
-                path, f"expected at most {LONGEST_NAME} characters that print, got {shorten(values[name])}", line=line,
-                field=name,
-            )  # fmt: skip
+        if wrong := _wrong_name(values[name]):
+            raise FormatError(path, wrong, line=line, field=name)
     given = {name.replace("-", "_"): value for name, value in values.items()}
     given |= {name: _pose(path, line, name, given[name]) for name in X_Y_DEGREES if name in given}
     if "start" in given and "poses" in given:
         raise FormatError(path, "is for a log without poses, and poses are given", line=line, field="start")
     return ManifestRow(**given, manifest=str(path), line=line, folder=os.path.abspath(path.parent))  # noqa: PTH100
+
+
+def _wrong_name(name: str) -> str:
+    """Return what is wrong with the name of a robot or site; "" if nothing is."""
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        return f"expected at most {LONGEST_NAME} characters that print, got {shorten(name)}"
+    if (n := len(quote(name, safe=""))) > LONGEST_ENCODED:
+        return f"{shorten(name)} is too long for file names: {n} characters percent-encoded, {LONGEST_ENCODED} at most"
+    return ""
 
 
 def _pose(path: Path, line: int, name: str, value: Any) -> tuple[float, float, float]:
@@ -243,6 +252,9 @@ def _rows_of_folder(folder: Path) -> tuple[ManifestRow, ...]:
         logs = [log for robot in robots for log in _visible(robot) if _is_log(log)]
         if logs and not (site / "map.yaml").is_file():
             raise FormatError(site, "a folder of logs, SITE/ROBOT/LOG, has a map per site: there is no map.yaml")
+        for named in dict.fromkeys([site, *(log.parent for log in logs)] if logs else []):
+            if wrong := _wrong_name(named.name):
+                raise FormatError(folder, wrong)
         for log in logs:
             robot, stem = log.parent, log_stem(log.name)
             poses = next((robot / f"{stem}{end}" for end in _POSES if (robot / f"{stem}{end}").is_file()), None)

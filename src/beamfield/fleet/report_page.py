@@ -25,7 +25,7 @@ MOST_LEFT_OUT = 50
 # On narrow screens the table is moved aside, rather than set in columns of a word; phones show a robot as a block.
 ONE_LINE, WIDE = 'style="white-space: nowrap"', 'style="min-width: 15rem"'
 KEY = (
-    "Red: a fault to see to now. Amber: one to watch, or many runs that cannot be used. Green: nothing was found in "
+    "Red: a fault to see to now. Amber: one to watch, or many runs that cannot be used. Green: no fault was found in "
     "the days that the report covers, by the tests that could be made. Grey: nothing could be tested. "
     "Robots are listed by urgency."
 )
@@ -49,7 +49,7 @@ def render_fleet_page(report: FleetReport) -> str:
         f'<h1>{escaped(title)}</h1>\n<p class="facts">{_facts(report)}</p>',
         verdict_box(*_verdict(report)),
         f'<p class="key">{escaped(KEY)}</p>',
-        f'<h2 id="robots">Robots</h2>\n{_lights(report.states)}',
+        f'<h2 id="robots">Robots</h2>\n{_lights(report)}',
         f'<h2 id="tests">Tests</h2>\n{_tests(report)}',
         figure(drift).replace("<h3>", "<h2>").replace("</h3>", "</h2>"),
         '<h2 id="maps">Maps</h2>',
@@ -104,14 +104,19 @@ def _verdict(report: FleetReport) -> tuple[Level, str, str]:
     return level, " ".join(sentences), "See to it" if lights["red"] else "Keep an eye on it"
 
 
-def _lights(states: Iterable[RobotState]) -> str:
+def _lights(report: FleetReport) -> str:
     """All robots but the green ones, with what to do; those are folded away."""
-    others = [state for state in states if state.light != "green"]
+    others = [state for state in report.states if state.light != "green"]
+    differ: dict[tuple[str, str], list[str]] = {}
+    for one in report.differences:
+        if one.differs:
+            differ.setdefault((one.robot, one.site), []).append(one.parameter)
     green = [
-        (state.robot, state.site, "; ".join(state.not_tested) or "-", f"{state.runs} of {state.runs + state.left_out}")
-        for state in states
+        (state.robot, state.site, "; ".join(state.not_tested) or "-",
+         ", ".join(differ.get((state.robot, state.site), ["-"])), f"{state.runs} of {state.runs + state.left_out}")
+        for state in report.states
         if state.light == "green"
-    ]
+    ]  # fmt: skip
     parts = []
     if others:
         names = ("", "robot", "site", "what was found", "what to do", "runs used")
@@ -120,9 +125,11 @@ def _lights(states: Iterable[RobotState]) -> str:
         head = f"<thead><tr>{columns}</tr></thead>"
         parts.append(f'<div class="scroll"><table class="robots">{head}\n<tbody>{body}</tbody></table></div>')
     if green:
-        listed = table(("robot", "site", "not tested", "runs used"), green, right=(3,))
+        listed = table(("robot", "site", "not tested", "differs in", "runs used"), green, right=(4,))
         missing = ", but not everything was tested" if any(row[2] != "-" for row in green) else ""
-        head = f'<b class="label">Green</b> {_count(green, "robot")}: nothing found{missing}'
+        unlike = [row[0] for row in green if row[3] != "-"]
+        too = f"; unlike the others in parameters: {escaped(', '.join(unlike))}" if unlike else ""
+        head = f'<b class="label">Green</b> {_count(green, "robot")}: no fault found{missing}{too}'
         parts.append(f'<details><summary><span class="good">{head}</span></summary>{listed}</details>')
     return "\n".join(parts)
 

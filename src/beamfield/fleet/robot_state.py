@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from beamfield.finding import Finding
-from beamfield.fleet.comparison import FEWEST_ROBOTS
+from beamfield.fleet.comparison import COMPARISON_TAKES
 from beamfield.fleet.daily import FaultKind
 from beamfield.fleet.drift import FEWEST_DAYS, Drift
 from beamfield.fleet.made_tests import untested_of
@@ -58,7 +58,7 @@ class RobotState:
     robot, site
         Its name, and its site. Robots of one name at two sites are two robots.
     light
-        "red": a fault to see to now; "amber": one to watch, or runs that cannot be used; "green": nothing found;
+        "red": a fault to see to now; "amber": one to watch, or runs that cannot be used; "green": no fault found;
         "grey": nothing could be tested, as no run could be used or days and robots are too few.
     findings
         Why, and what to do; the worst first.
@@ -156,8 +156,7 @@ def _untested() -> Finding:
     return Finding(
         "untested",
         "info",
-        f"Nothing could be tested: a change takes {2 * FEWEST_DAYS} days of runs, and a comparison {FEWEST_ROBOTS} "
-        "robots.",
+        f"Nothing could be tested: a change takes {2 * FEWEST_DAYS} days of runs, and a comparison {COMPARISON_TAKES}.",
         do="Scan more days, or more robots, into the catalogue.",
     )
 

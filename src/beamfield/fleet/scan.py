@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,7 +12,7 @@ from beamfield.fleet.catalogue import Catalogue, create_catalogue, read_records
 from beamfield.fleet.engine import Engine
 from beamfield.fleet.manifest import ManifestRow, read_manifest
 from beamfield.fleet.run_record import RunRecord
-from beamfield.fleet.scan_job import RunContent, ScanJob, content_of, log_address
+from beamfield.fleet.scan_job import ScanJob, content_of, log_address
 from beamfield.fleet.scan_run import left_out, scan_run, worker_died, write_record
 from beamfield.fleet.stored_map import MAPS
 
@@ -84,9 +85,10 @@ def scan_fleet(
     jobs = [ScanJob(row, opened.folder) for row in rows]
     contents = engine.map(content_of, jobs, progress=lambda done, n: report("looking for changes", done, n))
     before = read_records(opened.folder)
-    listed = {_name(row) for row in rows}
-    jobs = [_planned(job, content, before, listed) for job, content in zip(jobs, contents, strict=True)]
-    records = [_copy_of_another(job, jobs) or _known(job, before) for job in jobs]
+    jobs = [replace(job, content=content) for job, content in zip(jobs, contents, strict=True)]
+    jobs = _planned(jobs, before)
+    firsts, known = _firsts(jobs), {record.key: record for record in before}
+    records = [_copy_of_another(job, firsts) or _known(job, known) for job in jobs]
     open_jobs = [job for job, record in zip(jobs, records, strict=True) if record is None]
     done = iter(
         engine.map(
@@ -106,45 +108,54 @@ def _name(row: ManifestRow) -> tuple[str, str, str, str]:
     return row.site, row.robot, log_address(row), row.sensor
 
 
-def _planned(
-    job: ScanJob, content: RunContent, before: list[RunRecord], listed: set[tuple[str, str, str, str]]
-) -> ScanJob:
-    """Return the job with its content and the records that it replaces.
+def _firsts(jobs: list[ScanJob]) -> dict[tuple[str, str], ScanJob]:
+    """Return the first job of each log that can be read."""
+    firsts: dict[tuple[str, str], ScanJob] = {}
+    for job in jobs:
+        if job.content.key:
+            firsts.setdefault((job.content.log_hash, job.row.sensor), job)
+    return firsts
+
+
+def _planned(jobs: list[ScanJob], before: list[RunRecord]) -> list[ScanJob]:
+    """Return the jobs with the records that they replace.
 
     These are of the same robot's log of that name with other content, and of the same log under another robot's name;
-    but not of a copy that the manifest lists.
+    but not of a copy that the manifest lists, nor of a log that the manifest lists under another name, as logs that
+    rotate get one.
     """
-    row, planned = job.row, replace(job, content=content)
-    name = _name(row)
-    replaces = tuple(
-        one
-        for one in before
-        if one.run != planned.run
-        and (
-            (known := (one.site, one.robot, one.log, one.log_sensor)) == name
-            or (
-                (one.is_used or known not in listed)
-                and (one.log_hash, one.log_sensor) == (content.log_hash, row.sensor)
-                and one.log_hash != ""
-            )
-        )
-    )
-    return replace(planned, replaces=replaces)
+    listed = {_name(job.row) for job in jobs}
+    wanted = {job.content.key for job in _firsts(jobs).values()}
+    by_name, by_log = defaultdict[Any, list[RunRecord]](list), defaultdict[Any, list[RunRecord]](list)
+    for one in before:
+        if one.key not in wanted:
+            name = (one.site, one.robot, one.log, one.log_sensor)
+            by_name[name].append(one)
+            if one.log_hash != "" and (one.is_used or name not in listed):
+                by_log[one.log_hash, one.log_sensor].append(one)
+    planned = []
+    for job in jobs:
+        found = {one.run: one for one in (*by_name[_name(job.row)], *by_log[job.content.log_hash, job.row.sensor])}
+        planned.append(replace(job, replaces=tuple(one for run, one in found.items() if run != job.run)))
+    return planned
 
 
-def _copy_of_another(job: ScanJob, jobs: list[ScanJob]) -> RunRecord | None:
-    """Leave a log out whose content is that of an earlier row: its beams would count twice."""
-    if not job.content.key:
-        return None
-    same = (job.content.log_hash, job.row.sensor)
-    first = next(one for one in jobs if one.content.key and (one.content.log_hash, one.row.sensor) == same)
+def _copy_of_another(job: ScanJob, firsts: Mapping[tuple[str, str], ScanJob]) -> RunRecord | None:
+    """Leave a log out whose content is that of an earlier row: its beams would count twice.
+
+    Its record has no key: it is looked at again, in case it is no copy any more.
+    """
+    first = firsts[job.content.log_hash, job.row.sensor] if job.content.key else job
     if first is job:
         return None
-    record = left_out(job, f"the same log as {log_address(first.row)} of {first.row.robot}")
+    record = replace(left_out(job, f"the same log as {log_address(first.row)} of {first.row.robot}"), key="")
     # One of the same robot and name has the name of the first.
     return record if job.run == first.run else write_record(replace(job, replaces=()), record)
 
 
-def _known(job: ScanJob, before: list[RunRecord]) -> RunRecord | None:
-    """Return the record of the same content, whatever the log was called when it was scanned."""
-    return next((one for one in before if one.key == job.content.key != ""), None)
+def _known(job: ScanJob, known: Mapping[str, RunRecord]) -> RunRecord | None:
+    """Return the record of the same content; it gets the name that the log has now, as the old one may be another's."""
+    record = known.get(job.content.key) if job.content.key else None
+    if record is None or record.log == log_address(job.row):
+        return record
+    return write_record(replace(job, replaces=()), replace(record, log=log_address(job.row)))

@@ -129,7 +129,8 @@ class ParticleFilter(Generic[Z]):
     - Odometry that jumps or is reset: the step is not followed, the cloud is spread by 0.3 m and 0.3 rad, and the next
       measurement is used however little the robot moved (`odometry_jumps` counts).
     - Odometry that is not finite: the measurement is not used, and the next finite pose bridges the gap.
-    - A model that returns +inf, NaN or another shape: InvalidInputError.
+    - A model that returns +inf, NaN or another shape: InvalidInputError. After an error in a model the
+      belief is as before, and the next measurement makes up for the motion.
 
     References
     ----------
@@ -285,9 +286,12 @@ class ParticleFilter(Generic[Z]):
         weighed = Particles.unchecked(moved.poses, weights)
         if log_evidence == -math.inf:
             effective = 1.0 / float(np.square(weights).sum())
+        if self._averages is not None and self.is_found:
+            self._averages.add(log_evidence)
         if not self.is_found and _is_narrow(weighed.whole):
             self._coarse = None
-        self._belief, n_replaced = self._drawn(weighed, effective, log_evidence, z)
+        self._belief, n_replaced = self._drawn(weighed, effective, z)
+        self._used, self._jumps_used = self._odometry.pose, self._odometry.jumps
         x, y, theta = weighed.best_cluster.pose.tolist()
         self._at_used = x, y, theta
         return Update(weighed, log_evidence, effective, power, n_replaced)
@@ -300,12 +304,10 @@ class ParticleFilter(Generic[Z]):
 
     def _moved(self, belief: Particles) -> Particles:
         """Return the cloud after the motion since the last measurement used."""
-        before, self._used = self._used, self._odometry.pose
-        if before is None:
+        if self._used is None:
             return belief
-        poses = self._motion.sample(belief.poses, np.array([before, self._used]), self._rng)
+        poses = self._motion.sample(belief.poses, np.array([self._used, self._odometry.pose]), self._rng)
         if self._odometry.jumps > self._jumps_used:
-            self._jumps_used = self._odometry.jumps
             poses = poses + JUMP_SPREAD * self._rng.standard_normal(poses.shape)
         if poses.shape != belief.poses.shape:
             raise InvalidInputError(
@@ -324,12 +326,9 @@ class ParticleFilter(Generic[Z]):
             raise InvalidInputError("model: expected log-likelihoods, got NaN")
         return values
 
-    def _drawn(self, belief: Particles, effective: float, log_evidence: float, z: Z) -> tuple[Particles, int]:
+    def _drawn(self, belief: Particles, effective: float, z: Z) -> tuple[Particles, int]:
         """Return the cloud drawn anew where that is due, and how many poses came from the source."""
-        share = 0.0
-        if self._averages is not None and self.is_found:
-            self._averages.add(log_evidence)
-            share = self._averages.share
+        share = self._averages.share if self._averages is not None else 0.0
         if share == 0.0 and effective >= self.options.resample_below * len(belief):
             return belief, 0
         indices = self._indices(belief)

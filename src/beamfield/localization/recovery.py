@@ -9,13 +9,13 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from beamfield.arguments import as_count, check_fields, check_magnitude, require
-from beamfield.detections import Detections
+from beamfield.detections import SPURIOUS, Detections
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import particles as kernels
 from beamfield.localization.particles import free_poses, require_free
 from beamfield.localization.resampling import systematic_indices
-from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_poses import sample_poses
@@ -25,6 +25,8 @@ from beamfield.short_repr import short_repr
 Z_contra = TypeVar("Z_contra", contravariant=True)
 # Effective number of candidates that poses are drawn from by a scan, at least.
 LEAST_EFFECTIVE = 20
+# Candidates where there are several landmarks: of 20, most fit one landmark alone.
+LANDMARK_CANDIDATES = 5000
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,10 @@ class PosesFromScan:
 class PosesFromLandmarks:
     """Poses that fit detected landmarks: (6.41), Table 6.5.
 
+    Features that do not say where the robot could be are left out: spurious ones, those with neither range nor bearing,
+    and those without range where the model has no max_range. Where several are left, 5000 candidates or more are drawn
+    from one feature each, and the poses from these by their weights.
+
     Parameters
     ----------
     model
@@ -222,14 +228,22 @@ class PosesFromLandmarks:
 
     def draw(self, z: Detections, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw n poses (n, 3); (0, 3) if the detections say nothing of the pose."""
+        z = z.subset(np.flatnonzero(self._are_telling(z)))
         if not len(z):
             return np.zeros((0, 3))
         try:
-            drawn = sample_poses(self.model, z, n, rng, grid=self.grid)
+            drawn = sample_poses(self.model, z, n if len(z) == 1 else max(n, LANDMARK_CANDIDATES), rng, grid=self.grid)
         except TooLittleDataError:
             return np.zeros((0, 3))
         weights = np.exp(drawn.log_weights)
         return np.asarray(drawn.poses[systematic_indices(weights / weights.sum(), n, rng)])
+
+    def _are_telling(self, z: Detections) -> BoolArray:
+        """Return which features (k,) bound where the robot can be."""
+        telling = ~np.isnan(z.ranges)
+        if self.model.parameters.max_range is not None:
+            telling |= ~np.isnan(z.bearings)
+        return np.asarray(telling if z.ids is None else telling & (z.ids != SPURIOUS))
 
 
 def reweigh(
@@ -249,6 +263,7 @@ def reweigh(
     power = 1.0
     if least_share > 0.0 and -math.inf < log_mean < math.inf:
         possible = weights[log_likelihood > -math.inf]
+        possible /= possible.max()  # squares of small weights would be 0
         target = least_share * float(possible.sum()) ** 2 / float(np.square(possible).sum())
         if effective < target:
             power, effective = _flatten(weights, log_likelihood, target, trial)
@@ -257,19 +272,24 @@ def reweigh(
     return log_mean, effective, power
 
 
-# Halvings of the interval of log power: it is found to 0.1%.
-HALVINGS = 12
-LOWEST_POWER = 1e-3
+# The power is looked for among the highest DECADES, then among the next, and found to 0.1% by so many halvings.
+DECADES, HALVINGS = 3.0 * math.log(10.0), 12
+# Nobody asks for less; it ends the search where rounding alone is in the way.
+LOWEST_POWER = 1e-300
 
 
 def _flatten(weights: FloatArray, log_likelihood: FloatArray, target: float, trial: FloatArray) -> tuple[float, float]:
     """Find the power by halving; `trial` ends with its weights."""
-    low, high = math.log(LOWEST_POWER), 0.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if kernels.fill_weights(weights, log_likelihood, math.exp(middle), trial)[1] >= target:
-            low = middle
-        else:
-            high = middle
-    power = math.exp(low)
-    return power, kernels.fill_weights(weights, log_likelihood, power, trial)[1]
+    power, effective = 1.0, 0.0
+    while effective < target and power > LOWEST_POWER:
+        high = math.log(power)
+        low = high - DECADES
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            if kernels.fill_weights(weights, log_likelihood, math.exp(middle), trial)[1] >= target:
+                low = middle
+            else:
+                high = middle
+        power = math.exp(low)
+        effective = kernels.fill_weights(weights, log_likelihood, power, trial)[1]
+    return power, effective

@@ -164,7 +164,8 @@ class ReplayErrors:
         Median over updates of the particles' normalised estimation error squared,
         ``(mean - reference)^T covariance^-1 (mean - reference)`` in x, y and theta; 2.37 if the covariance is right.
     inside
-        Share of the updates in which the particles' 95% ellipse of x and y holds the reference; 0.95 if it is right.
+        Share of the updates with a reference in which the particles' 95% ellipse of x and y holds it; 0.95 if it is
+        right.
     inside_noisy
         The same, with a noise of the reference of 3 cm in x and in y.
     sd_position
@@ -196,14 +197,14 @@ class ReplayErrors:
 
     def summary(self) -> str:
         """Return the numbers in three lines for people."""
-        time = "" if self.update_ms is None else f", {self.update_ms:.3g} ms an update"
+        time = "" if self.update_ms is None else f" of {self.update_ms:.3g} ms"
         return (
             f"position error {self.mean:.3f} m mean, {self.median:.3f} median, 95% below {self.p95:.3f}, "
             f"{self.end:.3f} at the end{': LOST' if self.lost else ''}; heading {self.yaw_rmse_deg:.2f} deg rms\n"
-            f"reference inside the particles' 95% ellipse in {self.inside:.0%} of {self.updates} updates "
+            f"reference inside the particles' 95% ellipse in {self.inside:.0%} of the updates with a reference "
             f"({self.inside_noisy:.0%} with {REFERENCE_NOISE:g} m of noise of the reference), median NEES "
             f"{self.nees_median:.2f} (right: 2.37)\n"
-            f"{self.particles:.0f} particles, standard deviation {self.sd_position:.3f} m{time}"
+            f"{self.particles:.0f} particles, standard deviation {self.sd_position:.3f} m, {self.updates} updates{time}"
         )
 
 
@@ -269,7 +270,7 @@ def judge_replay(replay: Replay, reference: ArrayLike) -> ReplayErrors:
         nees_median=float(np.median(normalised_squares(off, covariances))),
         inside=float((normalised_squares(off[:, :2], covariances[:, :2, :2]) <= limit).mean()),
         inside_noisy=float((normalised_squares(off[:, :2], covariances[:, :2, :2] + noise) <= limit).mean()),
-        sd_position=float(np.sqrt(np.median(np.trace(replay.covariances[:, :2, :2], axis1=1, axis2=2)))),
+        sd_position=float(np.median(np.sqrt(np.trace(replay.covariances[:, :2, :2], axis1=1, axis2=2)))),
         particles=float(replay.particles.mean()),
         updates=len(replay.updates),
         update_ms=1e3 * float(np.median(replay.seconds)) if len(replay.seconds) else None,

@@ -88,3 +88,9 @@ def examine(
     if is_calibrated(subject):
         found = [item for item in found if item.name not in SETTLED]
     return worst_first(found)
+
+
+def error_notes(file: StackFile, grid: OccupancyGrid, log: SensorLog) -> list[str]:
+    """Return what makes a parameter file useless on a map, such as weights that are all zero, in words."""
+    found = examine(file, grid=grid, log=log)
+    return [f"{finding.text}: {finding.why}" for finding in found if finding.severity == "error"]

@@ -35,13 +35,13 @@ def disagreement(subject: Subject) -> Iterator[Finding]:
 
 def ignored_yaw(subject: Subject) -> Iterator[Finding]:
     """Find a map origin with a yaw that the stack does not honour."""
-    why = subject.stack.turned_map
-    if not why or subject.map_file is None or abs(subject.map_file.yaw) <= YAW_TOLERANCE:
+    why, yaw = subject.stack.turned_map, 0.0 if subject.grid is None else float(subject.grid.origin[2])
+    if not why or abs(yaw) <= YAW_TOLERANCE:
         return
     yield subject.finding(
         "map-yaw-ignored", "error",
-        f"the map's origin has a yaw of {math.degrees(subject.map_file.yaw):.3g} degrees",
-        why, "save the map with a yaw of 0 (rotate the picture)", values={"yaw": subject.map_file.yaw},
+        f"the map's origin has a yaw of {math.degrees(yaw):.3g} degrees",
+        why, "save the map with a yaw of 0 (rotate the picture)", values={"yaw": yaw},
     )  # fmt: skip
 
 

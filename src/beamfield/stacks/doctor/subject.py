@@ -25,8 +25,6 @@ class MapFile:
         The file's name.
     mode
         "trinary", "scale" or "raw".
-    yaw
-        Of the origin, radians.
     notes
         What its reader noticed.
     between_share
@@ -35,7 +33,6 @@ class MapFile:
 
     name: str
     mode: str = "trinary"
-    yaw: float = 0.0
     notes: tuple[str, ...] = ()
     between_share: float = 0.0
 

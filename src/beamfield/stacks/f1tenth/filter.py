@@ -68,7 +68,9 @@ class F1tenthFilter(EmulatedFilter):
     updates with every odometry message and the newest scan; here every scan that has odometry updates. It takes the
     laser's pose for the car's; here `RangeFinder.mounts` says where the laser is. Where all weights are 0 the program
     stops with an error (its probabilities sum to NaN); here all particles become equal. Its weights underflow to 0
-    with many beams, those here do not. Headings run on past pi, as the program's do.
+    with many beams, those here do not. Headings run on past pi, as the program's do. After a global start they are from
+    0 to 2 pi in the map's axes: where the car heads along its x, some are near 0, others near 2 pi, and their mean is
+    neither.
     """
 
     parameters: F1tenthFilterParameters = F1tenthFilterParameters()
@@ -86,7 +88,7 @@ class _Particles:
 
     def __init__(self, f1tenth: F1tenthFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
         self._f1tenth, self._rng, n = f1tenth, rng, f1tenth.parameters.max_particles
-        self.poses = uniform_poses(f1tenth.seen, n, rng) if start is None else normal_poses(start, n, rng)
+        self.poses = _global_poses(f1tenth.seen, n, rng) if start is None else normal_poses(start, n, rng)
         self.weights = np.full(n, 1.0 / n)
         self.move(STANDSTILL)  # the first update has the noise of a step, too
 
@@ -99,3 +101,10 @@ class _Particles:
 
     def resample_when_due(self) -> FloatArray:
         return np.asarray(self.weights @ self.poses)
+
+
+def _global_poses(seen: OccupancyGrid, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return n poses (n, 3) on free cells; headings are averaged as numbers, so it matters where they begin."""
+    poses, yaw = uniform_poses(seen, n, rng), float(seen.origin[2])
+    poses[:, 2] = yaw + (poses[:, 2] - yaw) % (2.0 * np.pi)
+    return poses

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from beamfield.geometry import FloatArray
+from beamfield.geometry import FloatArray, wrapped
 from beamfield.models.motion import OdometryMotion, check_not_negative, odometry_step
 from beamfield.models.motion_steps import GaussianStep, RotationTranslationRotation, rotations_and_translation
 from beamfield.stacks.emulation.parameter_checks import check_choice
@@ -105,7 +105,7 @@ class MrptMotion(OdometryMotion):
     def _rotations(self, odometry: FloatArray) -> RotationTranslationRotation:
         rotation_1, translation, rotation_2 = rotations_and_translation(odometry, 0.0)
         if translation == 0.0:  # where atan2(0, 0) is an angle of its own
-            rotation_1, rotation_2 = 0.0, rotation_2 + rotation_1
+            rotation_1, rotation_2 = 0.0, wrapped(rotation_2 + rotation_1)
         size_1, size_2 = abs(rotation_1), abs(rotation_2)
         return RotationTranslationRotation(
             rotation_1,

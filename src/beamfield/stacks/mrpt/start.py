@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, transform_points
+from beamfield.geometry import FloatArray, transform_points, wrapped
 from beamfield.localization.replay import PoseBelief
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.filters.particles import MOST_PARTICLES
@@ -70,7 +70,8 @@ def _box(seen: OccupancyGrid, start: PoseBelief | None, n_sigmas: float) -> tupl
         size = np.array(seen.shape[::-1]) * seen.resolution
         return np.array([*seen.origin[:2], -math.pi]), np.array([*(seen.origin[:2] + size), math.pi])
     half = n_sigmas * np.sqrt(np.diag(start.covariance))
-    low, high = start.mean - half, start.mean + half
+    mean = np.array([*start.mean[:2], wrapped(float(start.mean[2]))])
+    low, high = mean - half, mean + half
     low[2], high[2] = max(low[2], -math.pi), min(high[2], math.pi)
     return low, high
 

@@ -13,6 +13,7 @@ _NAMES = {
     "particle_filter": ("FilterOptions",),
     "particles": ("belief_poses", "free_poses"),
     "recovery": ("FreePoses", "PosesFromLandmarks", "PosesFromScan", "Recovery"),
+    "relocalization": ("Relocalizer",),
     "replay": ("PoseBelief", "judge_replay"),
     "replay_comparison": ("judge_change",),
     "replay_trials": ("run_trials",),

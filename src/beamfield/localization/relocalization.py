@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.arguments import as_count, as_generator, checked
+from beamfield.geometry import FloatArray
 from beamfield.localization.coarse_model import CoarseModel
 from beamfield.localization.particle_filter import ParticleFilter, Update
 from beamfield.localization.particles import free_poses, require_free
@@ -118,47 +119,38 @@ class Relocalizer:
         if scan.finder.opening_angle > 0.0 or not own.is_found:
             return own, update
         if update is not None:
-            share = agreement_at(scan, self._caster, own.pose)
-            self._doubt = max(0.0, self._doubt + EXPECTED - share) if np.isfinite(share) else self._doubt
-        if self._other is None and self._doubt > DOUBT:
-            self._other = self._make()
-            self._other.start(free_poses(self._grid, self._n, self._rng), coarse=self._coarse)
-            self._shares = []
-        elif self._doubt == 0.0:
-            self._other = None
-        if self._other is None:
-            return own, update
-        return self._compare(own, update, scan, odometry, stamp)
-
-    def _compare(
-        self,
-        own: ParticleFilter[Scan],
-        update: Update | None,
-        scan: Scan,
-        odometry: ArrayLike,
-        stamp: float | None,
-    ) -> tuple[ParticleFilter[Scan], Update | None]:
+            self._add_doubt(agreement_at(scan, self._caster, own.pose))
         other = self._other
-        assert other is not None
-        was_found = other.is_found
-        others = other.update(scan, odometry, stamp)
-        # The scan that made it sure of its place does not count for the place.
-        if others is None or not was_found:
+        if other is None:
             return own, update
-        shares = agreement_at(scan, self._caster, own.pose), agreement_at(scan, self._caster, other.pose)
-        if np.isfinite(shares).all():
-            self._shares.append(shares)
-        of_own, of_other = np.sum(self._shares, axis=0) if self._shares else (0.0, 0.0)
-        n, ahead = len(self._shares), of_other - of_own
-        if ahead > AHEAD and of_other >= LEAST_AGREEMENT * n:
-            self._end()
-            return other, others
-        if ahead < -0.5 * AHEAD or n >= COMPARED:
-            self._end()
+        was_found = other.is_found
+        of_other = other.update(scan, odometry, stamp)
+        # The scan that makes it sure of a place says nothing for the place.
+        if of_other is not None and was_found and self._is_better(scan, own.pose, other.pose):
+            return other, of_other
         return own, update
 
-    def _end(self) -> None:
-        self._other, self._doubt = None, 0.0
+    def _add_doubt(self, share: float) -> None:
+        """Take in how much of a scan agrees with the filter's place; begin or end a search."""
+        if np.isfinite(share):
+            self._doubt = max(0.0, self._doubt + EXPECTED - share)
+        if self._doubt == 0.0:
+            self._other = None
+        elif self._other is None and self._doubt > DOUBT:
+            self._other, self._shares = self._make(), []
+            self._other.start(free_poses(self._grid, self._n, self._rng), coarse=self._coarse)
+
+    def _is_better(self, scan: Scan, pose: FloatArray, other_pose: FloatArray) -> bool:
+        """Compare two places by one more scan: whether the other one has proved right; gives it up if it has not."""
+        shares = agreement_at(scan, self._caster, pose), agreement_at(scan, self._caster, other_pose)
+        if not np.isfinite(shares).all():
+            return False
+        self._shares.append(shares)
+        n, (of_own, of_other) = len(self._shares), np.sum(self._shares, axis=0)
+        is_better = bool(of_other - of_own > AHEAD and of_other >= LEAST_AGREEMENT * n)
+        if is_better or of_other - of_own < -0.5 * AHEAD or n >= COMPARED:
+            self._other, self._doubt = None, 0.0
+        return is_better
 
     @cached_property
     def _caster(self) -> RayCaster:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 from matplotlib.figure import Figure
 
@@ -54,7 +56,7 @@ def test_what_to_do_about_a_robot_is_seen_on_a_phone(browser):
     finding = Finding("dirty-lens", "warning", "Readings have no return. " * 9, do="Wipe it.")
     state = RobotState("robot-7", "hall", "red", (finding,), urgency=1.0, runs=6, left_out=0)
     page = browser.new_page(viewport={"width": 390, "height": 800})
-    page.set_content(document("Fleet", _lights([state]), (), ""))
+    page.set_content(document("Fleet", _lights(SimpleNamespace(states=[state], differences=())), (), ""))
     box = page.get_by_text("Wipe it.").bounding_box()
     assert box["x"] >= 0.0
     assert box["x"] + box["width"] <= 390.0

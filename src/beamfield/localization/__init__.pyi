@@ -13,6 +13,7 @@ from beamfield.localization.recovery import (
     PosesFromScan as PosesFromScan,
     Recovery as Recovery,
 )
+from beamfield.localization.relocalization import Relocalizer as Relocalizer
 from beamfield.localization.replay import PoseBelief as PoseBelief, judge_replay as judge_replay
 from beamfield.localization.replay_comparison import judge_change as judge_change
 from beamfield.localization.replay_trials import run_trials as run_trials

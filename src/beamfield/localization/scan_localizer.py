@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,8 +28,9 @@ from beamfield.models.motion import MotionModel
 from beamfield.sensors import Scan, SensorLog
 from beamfield.short_repr import short_repr
 
-# A place is wrong where the readings of so many scans in a row that were used agree no better with the map, in the
-# mean. Robots that are followed: 0.27 or more on 16 logs; wrong places: 0.2 or less (docs/evidence/localization.md).
+# A place found from anywhere is wrong where the readings of so many scans that were used agree no better with the map,
+# in the mean. Robots that are followed: 0.27 or more on 16 logs; wrong places: 0.2 or less
+# (docs/evidence/localization.md). After so many, a robot among people or in a changed map keeps its place.
 JUDGED_SCANS, CONTRADICTED = 20, 0.25
 # For a few scans, one of many thousand poses fits in any building: a robot counts as found only after so many more that
 # were used, and after JUDGED_SCANS where an earlier place proved wrong. In the maps of ten other offices, places were
@@ -84,7 +84,7 @@ class ScanLocalizer:
     short_readings
         Leaves out readings of people; None uses all.
     relocalize
-        Whether a robot whose start is known is searched for on the whole map where scans contradict its place.
+        Whether a robot is searched for on the whole map where scans contradict its place.
 
     Raises
     ------
@@ -121,8 +121,8 @@ class ScanLocalizer:
             With odometry; the reference poses are not looked at.
         start
             Where the robot is at the first scan; None if it can be anywhere in the map's free cells. A place that is
-            found, but that scans of a laser then contradict, is given up, and the robot searched for again; a place
-            that was given is kept until another proves better (`Relocalizer`).
+            found, but that the next 20 scans of a laser contradict, is given up, and the robot searched for again; one
+            that was given, or found before, is kept until another proves better (`Relocalizer`).
         rng
             Source of all randomness.
         watch
@@ -144,7 +144,7 @@ class ScanLocalizer:
         own, coarse = self._filter(rng), None if start is not None else self.coarse or CoarseModel(self.grid)
         own.start(self._cloud(start, rng), coarse=coarse)
         place, searched_from = _FoundPlace(self.grid), 0
-        again = self._relocalizer(rng) if start is not None and self.relocalize and self.grid.free.any() else None
+        again = self._relocalizer(rng) if self.relocalize and self.grid.free.any() else None
         relocalized = list[float]()
         poses: FloatArray = np.full((len(log), 3), np.nan)
         # Of the clouds, which are large, mean and covariance are kept.
@@ -168,13 +168,14 @@ class ScanLocalizer:
                 given = i
                 begin = time.thread_time()
                 update = own.update(scan, log.odometry[i], scan.stamp)
-                if update is not None and coarse is not None and own.is_found and place.is_wrong(scan, own.pose):
-                    counts["searched-again"] += 1
-                    counts["odometry-jumps"] += own.odometry_jumps
-                    own.start(self._cloud(None, rng), coarse=coarse)
-                    update = own.update(scan, log.odometry[i], scan.stamp)
-                    place, searched_from = _FoundPlace(self.grid), i
-                if again is not None:
+                if coarse is not None and not place.is_settled:
+                    if update is not None and own.is_found and place.is_wrong(scan, own.pose):
+                        counts["searched-again"] += 1
+                        counts["odometry-jumps"] += own.odometry_jumps
+                        own.start(self._cloud(None, rng), coarse=coarse)
+                        update = own.update(scan, log.odometry[i], scan.stamp)
+                        place, searched_from = _FoundPlace(self.grid), i
+                elif again is not None:
                     before = own
                     own, update = again.follow(own, update, scan, log.odometry[i], scan.stamp)
                     if own is not before:
@@ -231,16 +232,21 @@ class ScanLocalizer:
 
 
 class _FoundPlace:
-    """Tells by the scans since a robot was found whether it is there."""
+    """Tells by the first scans since a robot was found whether it is there."""
 
     def __init__(self, grid: OccupancyGrid) -> None:
         self._grid = grid
-        self._shares = deque[float](maxlen=JUDGED_SCANS)
+        self._shares: list[float] = []
 
     @property
     def n_scans(self) -> int:
         """How many scans have been judged, at most `JUDGED_SCANS`."""
         return len(self._shares)
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether all have been judged; of a place that was not wrong then, no more are."""
+        return self.n_scans == JUDGED_SCANS
 
     @cached_property
     def _caster(self) -> RayCaster:
@@ -251,7 +257,7 @@ class _FoundPlace:
         share = agreement_at(scan, self._caster, pose)
         if np.isfinite(share) and scan.finder.opening_angle == 0.0:
             self._shares.append(share)
-        return self.n_scans == JUDGED_SCANS and float(np.mean(self._shares)) < CONTRADICTED
+        return self.is_settled and float(np.mean(self._shares)) < CONTRADICTED
 
 
 def _is_repeated(log: SensorLog, i: int, given: int) -> bool:

@@ -93,6 +93,14 @@ def test_a_robot_among_people_is_searched_for_but_stays_where_its_filter_says(lo
     assert np.hypot(*(own.pose - log.poses[-1])[:2]) < 0.3
 
 
+def test_a_place_that_was_found_from_anywhere_is_kept_among_people(localizer, drive, truth):
+    beam = BeamModel(localizer.grid, truth, exponent=0.05)
+    log = among_people(drive)
+    found = replace(localizer, model=beam, n_anywhere=50_000).run(log, None, np.random.default_rng(0))
+    assert found.findings == ()
+    assert off_by(found, log)[len(log) // 3 :].max() < 0.5
+
+
 def test_cones_of_a_sonar_are_not_judged(localizer, drive):
     log, _ = kidnapped(drive)
     cones = replace(log, finder=replace(log.finder, opening_angle=0.2))

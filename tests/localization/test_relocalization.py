@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random.bit_generator import ISeedSequence
 
 from beamfield.errors import InvalidInputError
 from beamfield.localization.found import kidnapped
@@ -60,6 +61,22 @@ def test_a_wrong_start_is_put_right(localizer, drive):
 def test_a_robot_that_is_followed_has_the_same_poses_without(localizer, drive):
     found, without = (run(replace(localizer, relocalize=asked), drive) for asked in (True, False))
     assert np.array_equal(found.poses, without.poses)
+
+
+def test_what_searches_draw_follows_from_the_state_of_the_source_alone(localizer, drive):
+    log, _ = kidnapped(drive)
+
+    class NoChildren(ISeedSequence):
+        def generate_state(self, n_words, dtype=np.uint32):
+            return np.random.SeedSequence(0).generate_state(n_words, dtype)
+
+    rng = np.random.Generator(np.random.PCG64(NoChildren()))
+    state = rng.bit_generator.state
+    found = localizer.run(log, reference_start(log)[1], rng)
+    rng.bit_generator.state = state
+    again = localizer.run(log, reference_start(log)[1], rng)
+    assert [finding.name for finding in found.findings] == ["relocalized"]
+    assert np.array_equal(found.poses, again.poses)
 
 
 def among_people(log: SensorLog) -> SensorLog:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -215,8 +216,9 @@ class ScanLocalizer:
         )
 
     def _relocalizer(self, rng: np.random.Generator) -> Relocalizer:
-        # Searches draw from a source of their own: a robot that is followed has the same poses without them.
-        source = rng.spawn(1)[0]
+        # Searches draw from a source of their own: a robot that is followed has the same poses without them. It is not
+        # spawned: not all generators can, and what they spawn does not follow from their state.
+        source = np.random.default_rng(deepcopy(rng).integers(2**63))
         return Relocalizer(
             self.grid,
             lambda: self._filter(source),

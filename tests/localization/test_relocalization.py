@@ -129,3 +129,12 @@ def test_a_map_without_room_is_refused(localizer):
         Relocalizer(OccupancyGrid(np.ones((4, 4)), 0.1), lambda: None)
     with pytest.raises(InvalidInputError, match="n_anywhere"):
         Relocalizer(localizer.grid, lambda: None, n_anywhere=0)
+
+
+def test_what_a_search_needs_is_refused_before_there_is_one(localizer):
+    with pytest.raises(InvalidInputError, match=r"grid: .*read_map\(path\) reads one"):
+        Relocalizer("map.yaml", lambda: None)
+    with pytest.raises(InvalidInputError, match="make: expected a function, got a ParticleFilter"):
+        Relocalizer(localizer.grid, ParticleFilter(localizer.model, localizer.motion))
+    with pytest.raises(InvalidInputError, match="coarse: expected a MeasurementModel or None, got an OccupancyGrid"):
+        Relocalizer(localizer.grid, lambda: None, coarse=localizer.grid)

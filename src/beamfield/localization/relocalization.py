@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.argument_kinds import expect
 from beamfield.arguments import as_count, as_generator, checked
 from beamfield.geometry import FloatArray
 from beamfield.localization.coarse_model import CoarseModel
@@ -74,6 +75,10 @@ class Relocalizer:
         n_anywhere: int = 200_000,
         rng: np.random.Generator | int | None = None,
     ) -> None:
+        for name, given, hint in (
+            ("grid", grid, OccupancyGrid), ("make", make, Callable), ("coarse", coarse, MeasurementModel | None),
+        ):  # fmt: skip
+            expect(name, given, hint)
         require_free(grid)
         self._grid, self._make, self._given = grid, make, coarse
         self._n = as_count(n_anywhere, "n_anywhere", least=1, most=10_000_000)

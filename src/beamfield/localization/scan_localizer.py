@@ -332,6 +332,7 @@ def _elsewhere(relocalized: Sequence[float]) -> Finding:
         "warning",
         f"The robot was not where the filter took it to be, and was found elsewhere on the map, after {times}.",
         {"count": float(len(relocalized)), "first_s": relocalized[0]},
-        why="The start was wrong, or the robot was carried, slipped or followed wrongly: poses before are wrong.",
+        why="The start was wrong, or the robot was carried, slipped or followed wrongly: poses from then until it was "
+        "found are wrong.",
         do="See in localization.png from when on; beamfield trajectory fits the whole drive.",
     )

@@ -48,7 +48,8 @@ def test_a_robot_that_was_carried_elsewhere_is_found_again_and_it_is_said_when(l
     assert first < found.searched_from < len(log)
     assert off_by(found, log)[first : found.searched_from].min() > 0.5
     assert off_by(found, log)[:first].max() < 0.5
-    assert "poses from then until it was found are wrong" in finding.why
+    assert finding.text.startswith("Scans contradicted the filter's place, and agreed clearly better with another")
+    assert "poses from then until the filter took the other place are wrong" in finding.why
     assert off_by(found, log)[found.searched_from] < 0.5
     assert without.findings == ()
 

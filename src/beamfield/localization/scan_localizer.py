@@ -330,9 +330,10 @@ def _elsewhere(relocalized: Sequence[float]) -> Finding:
     return Finding(
         "relocalized",
         "warning",
-        f"The robot was not where the filter took it to be, and was found elsewhere on the map, after {times}.",
+        "Scans contradicted the filter's place, and agreed clearly better with another on the map, which it took "
+        f"after {times}.",
         {"count": float(len(relocalized)), "first_s": relocalized[0]},
-        why="The start was wrong, or the robot was carried, slipped or followed wrongly: poses from then until it was "
-        "found are wrong.",
+        why="The start was wrong, or the robot was carried, slipped or followed wrongly: poses from then until the "
+        "filter took the other place are wrong.",
         do="See in localization.png from when on; beamfield trajectory fits the whole drive.",
     )

@@ -43,6 +43,9 @@ def test_a_robot_that_was_carried_elsewhere_is_found_again_and_it_is_said_when(l
     (finding,) = found.findings
     assert finding.name == "relocalized"
     assert finding.values["count"] == 1
+    # The poses from before it was carried are right.
+    assert off_by(found, log)[:first].max() < 0.5
+    assert "from then on, until it was found, the poses are wrong" in finding.why
     assert finding.values["first_s"] == pytest.approx(log.stamps[found.searched_from] - log.stamps[0])
     assert first < found.searched_from < len(log)
     assert off_by(found, log)[first : found.searched_from].min() > 0.5

@@ -328,8 +328,10 @@ def _elsewhere(relocalized: Sequence[float]) -> Finding:
     return Finding(
         "relocalized",
         "warning",
-        f"The robot was not where the filter took it to be, and was found elsewhere on the map, after {times}.",
+        f"The robot was not where the filter took it to be, and was found elsewhere on the map, {times} after the "
+        "first scan.",
         {"count": float(len(relocalized)), "first_s": relocalized[0]},
-        why="The start was wrong, or the robot was carried, slipped or followed wrongly: poses before are wrong.",
-        do="See in localization.png from when on; beamfield trajectory fits the whole drive.",
+        why="The start was wrong, or the robot was carried, slipped or lost: from then on, until it was found, the "
+        "poses are wrong.",
+        do="beamfield trajectory fits the whole drive, and says when the robot was carried or slipped.",
     )

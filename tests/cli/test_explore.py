@@ -2,6 +2,7 @@
 
 import socket
 
+import numpy as np
 import pytest
 
 from beamfield.cli.main import main
@@ -70,6 +71,16 @@ def test_without_poses_it_is_said_what_is_left_to_do(world, served, capsys, tmp_
     assert len(served) == 1
 
 
+@pytest.mark.usefixtures("served")
+def test_with_no_fit_poses_that_the_map_refutes_are_kept_and_it_is_said(world, capsys, tmp_path):
+    log, lost = read_log(world / "log.carmen").only_sensor(), tmp_path / "lost.log"
+    write_carmen(lost, ScanLog({"FLASER": log.with_poses(np.add(log.poses, [2.0, 2.0, 1.5]))}))
+    assert main(["explore", str(lost), "--map", str(world / "map.yaml"), "--no-browser", "--no-fit"]) == 0
+    said = capsys.readouterr().err
+    assert "fitting all poses" not in said
+    assert "readings agree with the map" in said
+
+
 def test_a_port_in_use_is_refused_before_anything_is_read(world, served, capsys):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
@@ -80,7 +91,7 @@ def test_a_port_in_use_is_refused_before_anything_is_read(world, served, capsys)
 
 
 def test_bad_input_is_refused_before_anything_is_served(world, served, capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("beamfield.cli.explore.posed_as_asked", None)  # takes long
+    monkeypatch.setattr("beamfield.cli.explore.posed_log", None)  # takes long
     assert explore(world, "--port", "70000") == 2
     assert "65535" in capsys.readouterr().err
     (tmp_path / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: high\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -14,6 +15,7 @@ from PIL import Image
 
 from beamfield.cli.film import Film
 from beamfield.cli.inputs import OF_MOVED_MAP
+from beamfield.cli.localize_summary import run_summary
 from beamfield.cli.main import main
 from beamfield.errors import TrajectoryNotFoundError
 from beamfield.io.bags.writer import write_bag
@@ -139,6 +141,16 @@ def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
     assert "sure of the place from" in text
     assert main(["localize", str(folder / "short.log"), "--map", str(folder / "map.yaml"), "--global"]) == 3
     assert "The robot has not been found" in capsys.readouterr().err
+
+
+def test_poses_from_before_a_robot_is_found_elsewhere_are_no_guesses():
+    found = {
+        "filter": "ours", "start": None, "n_scans": 9, "n_updates": 5, "updates_per_second": None,
+        "last_pose": [1.0, 2.0, 0.0], "last_spread_m": 0.1, "sure_after_s": 4.0, "findings": [{"name": "relocalized"}],
+    }  # fmt: skip
+    text = run_summary(found, None, Namespace(anywhere=True, start=None), is_sonar=False)
+    assert "sure of the last place from 4.0 s on; before that, poses are of others\n" in text
+    assert "guess" not in text
 
 
 @pytest.mark.usefixtures("undrawn")

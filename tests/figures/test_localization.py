@@ -19,7 +19,7 @@ def test_poses_from_before_the_filter_was_sure_are_points_beside_the_path(sure_a
     found = Replay(way, np.arange(4), way, np.tile(np.eye(3), (4, 1, 1)), np.full(4, 100), np.empty(0))
     path = localization_figure(found, log, GRID, sure_after=sure_after).axes[0]
     drawn = {line.get_label(): line.get_xdata() for line in path.lines}
-    assert len(drawn.get("guess, not sure yet", ())) == n_guesses
+    assert len(drawn.get("guess, or an earlier place", ())) == n_guesses
     np.testing.assert_array_equal(drawn.get("estimate", np.empty(0)), way[n_guesses:, 0])
 
 

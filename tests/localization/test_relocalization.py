@@ -47,9 +47,10 @@ def test_a_robot_that_was_carried_elsewhere_is_found_again_and_it_is_said_when(l
     assert finding.values["first_s"] == pytest.approx(log.stamps[found.searched_from] - log.stamps[0])
     assert first < found.searched_from < len(log)
     assert off_by(found, log)[first : found.searched_from].min() > 0.5
+    # The poses from before it was carried are right.
     assert off_by(found, log)[:first].max() < 0.5
     assert finding.text.startswith("Scans contradicted the filter's place, and agreed clearly better with another")
-    assert "poses from then until the filter took the other place are wrong" in finding.why
+    assert "from then on, until the filter took the other place, the poses are wrong" in finding.why
     assert off_by(found, log)[found.searched_from] < 0.5
     assert without.findings == ()
 

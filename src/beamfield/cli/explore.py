@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli import inputs, options
-from beamfield.cli.fitted_poses import posed_as_asked
+from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.progress import StageProgress
@@ -121,7 +121,10 @@ def _posed(
     if arguments.no_fit and arguments.start is None and not sensor.has_poses:
         return sensor, None, (BY_HAND,)
     try:
-        log, fitted, found = posed_as_asked(sensor, grid, arguments, progress)
+        # Like poses from a named file, the log's own are only judged: none are fitted in their place.
+        kept = arguments.log if arguments.no_fit and sensor.has_poses else arguments.poses
+        start = options.start_of(arguments)
+        log, fitted, found = posed_log(sensor, grid, arguments, progress, arguments.log, kept, start)
     except (FormatError, TooLittleDataError) as error:
         if sensor.has_poses:
             raise

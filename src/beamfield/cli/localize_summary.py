@@ -82,8 +82,7 @@ def run_summary(
         ended_at(document),
     ]
     if document["start"] is None and document["sure_after_s"] is not None:
-        guess = "a best guess" if errors is None else "a best guess, and their errors do not count"
-        lines.append(f"sure of the place from {document['sure_after_s']:.1f} s on; before that, poses are {guess}")
+        lines.append(_sure(document) + ("" if errors is None else ", and their errors do not count"))
     if errors is None:
         fitted = "" if is_sonar else ": beamfield trajectory fits some, which --poses takes"
         lines.append(f"no reference poses to judge by{fitted}")
@@ -92,6 +91,14 @@ def run_summary(
     within = f"{FOUND_WITHIN:g} m of the reference"
     lines.append(f"within {within} from {found:.1f} s on" if found is not None else f"not within {within} at the end")
     return "\n".join([*lines, errors.summary()])
+
+
+def _sure(document: Mapping[str, Any]) -> str:
+    """Return from when on the filter was sure of its place, and what the poses before are."""
+    after = f"{document['sure_after_s']:.1f} s on; before that, poses are"
+    if any(finding["name"] == "relocalized" for finding in document["findings"]):
+        return f"sure of the last place from {after} of others"
+    return f"sure of the place from {after} a best guess"
 
 
 def ended_at(document: Mapping[str, Any]) -> str:

@@ -34,7 +34,8 @@ def localization_figure(
 ) -> Figure:
     """Draw where the filter was in the map, and over time how far off and how sure.
 
-    Poses until `sure_after`, seconds since the first scan, are drawn as guesses; all of them if it is None.
+    Poses until `sure_after`, seconds since the first scan, are drawn as guesses, or as of an earlier place; all of them
+    if it is None.
     """
     figure = new_figure(12.0, 6.0)
     axes = figure.subplot_mosaic([["path", "position"], ["path", "heading"]], width_ratios=(1.15, 1.0))
@@ -90,7 +91,7 @@ def _draw_path(found: Replay, log: SensorLog, grid: OccupancyGrid, ax: Axes, sur
     sure = np.zeros(len(log), dtype=bool) if sure_after is None else log.stamps - log.stamps[0] >= sure_after
     if not sure.all():
         # Points: a guess jumps, and a line would say that the robot went there.
-        ax.plot(*found.poses[~sure, :2].T, ".", color=GUESS, markersize=3, label="guess, not sure yet", zorder=4)
+        ax.plot(*found.poses[~sure, :2].T, ".", color=GUESS, markersize=3, label="guess, or an earlier place", zorder=4)
     if sure.any():
         draw_trajectory(found.poses[sure], ax, label="estimate", color=ESTIMATE, ends=False)
     known = found.poses[np.isfinite(found.poses).all(axis=1)]

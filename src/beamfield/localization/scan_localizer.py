@@ -331,9 +331,9 @@ def _elsewhere(relocalized: Sequence[float]) -> Finding:
         "relocalized",
         "warning",
         "Scans contradicted the filter's place, and agreed clearly better with another on the map, which it took "
-        f"after {times}.",
+        f"{times} after the first scan.",
         {"count": float(len(relocalized)), "first_s": relocalized[0]},
-        why="The start was wrong, or the robot was carried, slipped or followed wrongly: poses from then until the "
-        "filter took the other place are wrong.",
-        do="See in localization.png from when on; beamfield trajectory fits the whole drive.",
+        why="The start was wrong, or the robot was carried, slipped or lost: from then on, until the filter took the "
+        "other place, the poses are wrong.",
+        do="beamfield trajectory fits the whole drive, and says when the robot was carried or slipped.",
     )

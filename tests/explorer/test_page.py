@@ -254,6 +254,16 @@ def test_a_reading_shows_its_density_and_a_filter_its_way(opened):
     page.get_by_role("button", name="Heat map").click()
 
 
+def test_a_filter_that_is_lost_says_so_while_it_is_shown(opened):
+    page = opened("#i=2&x=3.41&y=3.5&heading=1.37&set=1")
+    said = page.locator(".lost").first
+    sync_api.expect(said).to_have_text("")
+    page.get_by_role("button", name="Run filter").click()
+    sync_api.expect(said).to_contain_text("of a scan's readings agree with the map")
+    page.get_by_role("button", name="Hide filter").click()
+    sync_api.expect(said).to_have_text("")
+
+
 def test_a_link_leads_to_the_same_moment_and_pose(opened):
     page = opened("#i=7&x=2.5&y=0.75&heading=0.5&set=1")
     assert pose(page) == (2.5, 0.75, 28.6)

@@ -185,6 +185,9 @@ def test_a_filter_follows_the_robot(session, log):
     cloud = np.array(answer["particles"][last])
     assert cloud.shape == (200, 3)
     assert np.hypot(*(cloud[:, :2].mean(axis=0) - log.odometry[int(last), :2])) < 0.4
+    assert answer["lost"] is None
+    elsewhere = (log.odometry[2] + np.array([2.5, 3.2, 1.3])).tolist()
+    assert "of a scan's readings agree with the map" in ask(session, "filter", i=2, pose=elsewhere, set=FIELD)["lost"]
 
 
 FILES = {

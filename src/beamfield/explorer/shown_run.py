@@ -43,7 +43,7 @@ class ShownRun:
     numbers
         Values (t,) at the scans, for the timeline, by name.
     lost
-        The warning if most scans disagree with the map there.
+        The warning if the scans contradict the poses.
     """
 
     poses: FloatArray
@@ -87,7 +87,8 @@ def run_from(log: SensorLog, grid: OccupancyGrid, model: Any, i: int, pose: tupl
     found = localizer.run(log[i:], PoseBelief.around(pose), np.random.default_rng(0), watch=watch)
     poses = np.full((len(log), 3), np.nan)
     poses[i:] = found.poses
-    return ShownRun(poses, particles)
+    moved = [one for one in found.findings if one.name == "relocalized"]
+    return ShownRun(poses, particles, lost=moved[0] if moved else find_lost_robot(log, grid, poses))
 
 
 def _by_scan(path: Path, run: FilterRun, log: SensorLog) -> dict[int, FloatArray]:

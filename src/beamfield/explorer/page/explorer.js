@@ -277,6 +277,7 @@ class Explorer {
     filter.textContent = own ? "Hide filter" : "Run filter";
     filter.setAttribute("aria-pressed", String(own));
     recorded.setAttribute("aria-pressed", String(run !== null && !own));
+    this.page.lost.textContent = own ? run.lost ?? "" : this.panels.warning;
     this.panels.showLegends();
     this.draw();
   }

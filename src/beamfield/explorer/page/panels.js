@@ -13,7 +13,8 @@ export class Panels {
   begin() {
     const { explorer, page, start } = this;
     page.scan.max = start.times.length - 1;
-    page.lost.textContent = start.run?.lost ?? (start.poses.some(Boolean) ? "" : "The log has no poses: drag the robot to where it was.");
+    this.warning = start.run?.lost ?? (start.poses.some(Boolean) ? "" : "The log has no poses: drag the robot to where it was.");
+    page.lost.textContent = this.warning;
     this.listModels();
     page.curve.addEventListener("change", () => { this.drawTimeline(); this.listWorst(); });
     page.line.addEventListener("click", (event) => explorer.toScan(nearestTime(start.times, event.offsetX / page.line.clientWidth * start.times.at(-1))));

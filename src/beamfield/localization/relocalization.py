@@ -23,8 +23,8 @@ from beamfield.sensors import Scan
 # Shares of scans that agree less than EXPECTED add up to the doubt that begins a search; more of it takes doubt away.
 EXPECTED, DOUBT = 0.3, 1.0
 # By so many scans' shares the other place has to be ahead, and half as many behind it is given up; at the latest after
-# COMPARED scans. Nothing is lost by a search in vain but time: robots among people agree with their map no better than
-# robots elsewhere do, but nor do their scans anywhere else (docs/evidence/localization.md).
+# COMPARED scans. A search in vain costs time, hardly ever the place: scans among people agree with the map no better
+# than those of a robot that is elsewhere, but with no other place either (docs/evidence/localization.md).
 AHEAD, COMPARED = 2.0, 20
 
 

@@ -149,7 +149,7 @@ def test_poses_from_before_a_robot_is_found_elsewhere_are_no_guesses():
         "last_pose": [1.0, 2.0, 0.0], "last_spread_m": 0.1, "sure_after_s": 4.0, "findings": [{"name": "relocalized"}],
     }  # fmt: skip
     text = run_summary(found, None, Namespace(anywhere=True, start=None), is_sonar=False)
-    assert "sure of the last place from 4.0 s on; before that, poses are of others\n" in text
+    assert "sure of the last place from 4.0 s on; before that, poses are of earlier places\n" in text
     assert "guess" not in text
 
 

@@ -97,7 +97,7 @@ def _sure(document: Mapping[str, Any]) -> str:
     """Return from when on the filter was sure of its place, and what the poses before are."""
     after = f"{document['sure_after_s']:.1f} s on; before that, poses are"
     if any(finding["name"] == "relocalized" for finding in document["findings"]):
-        return f"sure of the last place from {after} of others"
+        return f"sure of the last place from {after} of earlier places"
     return f"sure of the place from {after} a best guess"
 
 

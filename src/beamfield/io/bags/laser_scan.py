@@ -15,6 +15,7 @@ from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.io.bags.bag_file import BagMessage, seconds
 from beamfield.io.bags.bearing_grid import ScanGeometry, on_one_grid
+from beamfield.io.bags.frames import strip_slash
 from beamfield.sensors import RangeFinder, Scan
 
 STAMP_TOLERANCE = 0.5  # seconds: neighbours may swap on a lossy network; a clock that was set jumps further
@@ -120,7 +121,7 @@ class LaserScans:
     Parameters
     ----------
     topic, frame
-        Where they were published, and the frame of the sensor.
+        Where they were published, and the frame of the sensor, without a leading slash.
     bearings
         (k,) direction of each beam in the sensor's frame, radians.
     range_min, range_max
@@ -240,9 +241,10 @@ class LaserScanCollector:
                 f"{n_beams}; beam i is taken at angle_min + i angle_increment"
             )
         self._limits = (float(message.content.range_min), float(message.content.range_max))
-        self._frame = message.content.header.frame_id
-        if not isinstance(self._frame, str):
-            raise self._error(message.place, f"expected a frame_id, got {self._frame!r}")
+        frame = message.content.header.frame_id
+        if not isinstance(frame, str):
+            raise self._error(message.place, f"expected a frame_id, got {frame!r}")
+        self._frame = strip_slash(frame)
 
     def _compare(self, message: BagMessage) -> None:
         scan = message.content
@@ -253,11 +255,12 @@ class LaserScanCollector:
                     message.place,
                     f"range_{option[:3]} {now:.6g} m differs from that of the first scan, {first:.6g} m; give {option}",
                 )
-        if scan.header.frame_id != self._frame:
+        frame = strip_slash(scan.header.frame_id)
+        if frame != self._frame:
             raise self._error(
                 message.place,
-                f"frame_id {scan.header.frame_id!r} differs from that of the first scan, {self._frame!r}: cut the bag "
-                "there, or have two sensors publish on two topics",
+                f"frame_id {frame!r} differs from that of the first scan, {self._frame!r}: cut the bag there, "
+                "or have two sensors publish on two topics",
             )
 
     def _looks_elsewhere(self, scan: int) -> FormatError:

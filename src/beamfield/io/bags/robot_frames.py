@@ -69,7 +69,7 @@ def choose_base(content: BagContent, asked: str | None, mount_given: bool) -> st
     if mount_given:
         sensor_frames: list[str] = []
     else:
-        sensor_frames = [strip_slash(s.frame) for s in content.scans if s.topic not in content.cones]
+        sensor_frames = [s.frame for s in content.scans if s.topic not in content.cones]
     if asked is not None:
         base = strip_slash(asked)
         if base not in frames:
@@ -100,8 +100,8 @@ def _unconnected(content: BagContent, candidates: list[str], sensor_frames: list
     best = max(range(len(candidates)), key=lambda i: len(reached[i]), default=None)
     robot = "the robot (no frame base_link or base_footprint)" if best is None else f"the robot {candidates[best]!r}"
     known = [] if best is None else reached[best]
-    lost = [s for s in content.scans if strip_slash(s.frame) in sensor_frames and strip_slash(s.frame) not in known]
-    sensors = ", ".join(f"{strip_slash(s.frame)!r} of {s.topic}" for s in lost)
+    lost = [s for s in content.scans if s.frame in sensor_frames and s.frame not in known]
+    sensors = ", ".join(f"{s.frame!r} of {s.topic}" for s in lost)
     why = "" if frames.has_static else "no /tf_static was recorded; "
     return FormatError(
         content.path,
@@ -122,7 +122,7 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
     in_sensor = np.column_stack([np.zeros((k, 2)), scans.bearings])
     if mount is not None:
         return compose(as_poses(mount, "mount"), in_sensor)
-    sensor = strip_slash(scans.frame)
+    sensor = scans.frame
     if scans.topic in content.cones or len(content.frames) == 0 or sensor == base:
         if scans.topic not in content.cones:
             why = "the bag has no transforms" if len(content.frames) == 0 else "the scans are in the robot's own frame"
@@ -160,8 +160,8 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
 def _are_fixed(content: BagContent, base: str) -> bool:
     """Return whether no sensor is seen to move on this frame: with a mount given, its frame may be missing."""
     scans = [s for s in content.scans if s.topic not in content.cones]
-    seen = [s for s in scans if content.frames.connected(base, strip_slash(s.frame))]
-    mounts = (content.frames.look_up(base, strip_slash(s.frame), s.stamps, hold=True) for s in seen)
+    seen = [s for s in scans if content.frames.connected(base, s.frame)]
+    mounts = (content.frames.look_up(base, s.frame, s.stamps, hold=True) for s in seen)
     return not any(_moves(*_motion(mount)) for mount in mounts)
 
 

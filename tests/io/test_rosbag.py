@@ -418,6 +418,15 @@ def test_times_of_recording_replace_stamps_that_are_all_equal_with_a_note(tmp_pa
     assert not any("clock" in note for note in log.notes)
 
 
+def test_transforms_that_nobody_stamped_do_not_hide_the_odometry_topic(tmp_path):
+    bag = MiniBag().scan(7.5)
+    for time in (7.0, 8.0):
+        bag.odometry(time, (time, 0.0)).tf("odom", "base_link", 0.0, (time, 0.0, 0.0), recorded=time)
+    log = read_bag(bag.tf("base_link", "laser", 0.0, static=True).write(tmp_path))
+    assert log.only_sensor().odometry.tolist() == [[7.5, 0.0, 0.0]]
+    assert "/tf from 'odom' to 'base_link': every stamp is 0; /odom is used instead" in log.notes
+
+
 def test_scans_that_swapped_places_on_the_network_are_sorted_with_a_note(tmp_path):
     bag = MiniBag().scan(1.0, [1, 1, 1], recorded=1.0).scan(1.2, [3, 3, 3], recorded=1.1)
     log = read_bag(bag.scan(1.1, [2, 2, 2], recorded=1.2).write(tmp_path))

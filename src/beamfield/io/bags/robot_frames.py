@@ -198,7 +198,10 @@ def find_odometry(content: BagContent, base: str, notes: list[str]) -> Odometry:
     near = frames.nearest_first(base, [f for f in frames.frames if "odom" in f.lower() and f not in exact])
     for frame in [*exact, *near]:
         stamps = frames.stamps_between(frame, base) if frame and frame != base else np.empty(0)
-        if len(stamps) and (frame in exact or _moves_on(content, frame, base)):
+        if len(stamps) == 1 and topic is not None and len(topic) > 1:
+            only = f"every stamp is {stamps[0]:.10g}; {topic.topic} is used instead"
+            notes.append(f"/tf from {frame!r} to {base!r}: {only}")
+        elif len(stamps) and (frame in exact or _moves_on(content, frame, base)):
             track = Track(stamps, frames.look_up(frame, base, stamps, max_gap=MAX_GAP).planar())
             known = np.isfinite(track.poses).all(axis=1)
             notes.append(f"odometry: /tf from {frame!r} to {base!r}")

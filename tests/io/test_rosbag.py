@@ -435,6 +435,18 @@ def test_scans_that_swapped_places_on_the_network_are_sorted_with_a_note(tmp_pat
     assert any("sorted by their stamps" in note for note in log.notes)
 
 
+def test_single_scans_that_were_long_under_way_are_sorted_with_a_note(tmp_path):
+    stamps = np.arange(300) * 0.1
+    arrived = np.r_[stamps[:50], stamps[51:100], stamps[50], stamps[100:]]
+    bag = MiniBag()
+    for recorded, stamp in zip(stamps, arrived, strict=True):
+        bag.scan(stamp, [1.0 + stamp / 10.0] * 3, recorded=recorded)
+    log = read_bag(bag.write(tmp_path))
+    assert np.allclose(log.only_sensor().stamps, stamps)
+    assert np.allclose(log.only_sensor().ranges[:, 0], 1.0 + stamps / 10.0)
+    assert "/scan: 1 of 300 messages came after later ones, by up to 4.9 s, and are sorted by their stamps" in log.notes
+
+
 def test_given_limits_replace_the_declared_ones_and_include_what_float32_rounded(tmp_path):
     path = MiniBag().scan(1.0, [0.05, 5.6, 2.0], range_max=30.0).write(tmp_path)
     finder = read_bag(path, max_range=5.6, min_range=0.2).only_sensor().finder

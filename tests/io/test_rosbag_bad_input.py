@@ -7,11 +7,13 @@ import shutil
 import sqlite3
 import struct
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
+from beamfield.io.bags.laser_scan import ordered_stamps
 from beamfield.io.bags.reader import read_bag, read_bag_map
 from beamfield.io.files import yaml_file
 from beamfield.io.files.bag_storage import repair_of
@@ -334,6 +336,20 @@ def test_a_map_frame_that_is_not_there_or_does_not_connect(tmp_path):
 def test_stamps_that_run_backwards(tmp_path):
     path = MiniBag().scan(5.0, recorded=1.0).scan(6.0, recorded=2.0).scan(3.0, recorded=3.0).write(tmp_path)
     refuse(path, r"/scan, message 3: the stamps run backwards, from 6\.000000 to 3\.000000 s; cut the bag there")
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        np.r_[0.0:10.0:0.1, 9.0:20.0:0.1],  # a clock that was set back by a second
+        np.r_[0.0:10.0:0.1, 9.3:20.0:0.3],  # so few scans a second that only the first is late
+        np.ravel(np.column_stack([np.r_[1.0:10.0:0.1], np.r_[0.0:9.0:0.1]])),  # two publishers
+        np.r_[50.0:60.0:0.1, 0.0, 60.0:70.0:0.1],  # a scan without a stamp
+    ],
+)
+def test_stamps_of_a_clock_that_is_wrong(stamps):
+    with pytest.raises(FormatError, match="the stamps run backwards"):
+        ordered_stamps(stamps, Path("bag"), "/scan", [])
 
 
 def test_poses_whose_stamps_run_backwards(tmp_path):

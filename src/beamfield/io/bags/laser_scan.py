@@ -19,6 +19,9 @@ from beamfield.io.bags.frames import strip_slash
 from beamfield.sensors import RangeFinder, Scan
 
 STAMP_TOLERANCE = 0.5  # seconds: neighbours may swap on a lossy network; a clock that was set jumps further
+# Up to this share of the messages may be later, one at a time and by so many seconds: after a clock was set, several
+# messages in a row are behind.
+LATE_SHARE, LATEST = 0.01, 10.0
 
 
 class LaserScanMessage(Protocol):
@@ -202,8 +205,8 @@ class LaserScanCollector:
         Raises
         ------
         FormatError
-            If there are none, the stamps go backwards by more than `STAMP_TOLERANCE`, no range is a number, or a scan
-            has no beam in the direction of any other's.
+            If there are none, the stamps go backwards as `ordered_stamps` does not allow, no range is a number, or a
+            scan has no beam in the direction of any other's.
         """
         if not self._geometries:
             raise FormatError(self.path, "the topic holds no scans", field=self.topic)
@@ -312,7 +315,7 @@ def ordered_stamps(
 
     Times of recording (t,) replace stamps that are all equal, with a note. Messages may overtake each other on the way
     to the recorder: that is sorted, and a note added that says so. A clock that runs backwards, by more than
-    `STAMP_TOLERANCE`, is a FormatError.
+    `STAMP_TOLERANCE` at more than few single messages, is a FormatError.
     """
     if recorded is not None and len(stamps) > 1 and (stamps == stamps[0]).all():
         notes.append(
@@ -322,8 +325,10 @@ def ordered_stamps(
         stamps = recorded
     latest = np.maximum.accumulate(stamps)
     behind = latest - stamps
-    if len(stamps) and behind.max() > STAMP_TOLERANCE:
-        where = int(np.argmax(behind > STAMP_TOLERANCE))
+    late = behind > STAMP_TOLERANCE
+    delayed = late & (behind <= LATEST) & np.append(behind[1:] == 0.0, False)
+    if (late > delayed).any() or delayed.sum() > max(1.0, LATE_SHARE * len(stamps)):
+        where = int(np.argmax(late))
         raise FormatError(
             path,
             f"the stamps run backwards, from {latest[where - 1]:.6f} to {stamps[where]:.6f} s; cut the bag there",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from beamfield.errors import FormatError
@@ -207,6 +209,40 @@ def test_all_files_that_have_the_parameters_are_named(write):
     files = '<rosparam file="filter.yaml"/><rosparam file="laser.yaml"/>'
     with pytest.raises(FormatError, match=r"not in this file but in 'filter\.yaml' and 'laser\.yaml': give that file"):
         read_stack_file(write(node(files)))
+
+
+@pytest.mark.parametrize(
+    ("outside", "source"),
+    [
+        ('<rosparam ns="/amcl">\nlaser_z_hit: 0.1\n</rosparam>', "the text of <rosparam>"),
+        ('<rosparam param="amcl">\nlaser_z_hit: 0.1\n</rosparam>', "the text of <rosparam>"),
+        (param("/amcl/laser_z_hit", "0.1"), "a <param> outside of it"),
+        ('<arg name="n" default="amcl"/><group ns="$(arg n)">' + param("laser_z_hit", "0.1") + "</group>", "a <param>"),
+        ('<rosparam ns="amcl" file="filter.yaml"/>', "filter.yaml"),
+        ('<group ns="amcl"><rosparam file="filter.yaml"/></group>', "filter.yaml"),
+        ('<rosparam file="$(find robot)/amcl_params.yaml"/>', "$(find robot)/amcl_params.yaml"),
+    ],
+)
+def test_parameters_outside_of_the_node_are_not_passed_over_in_silence(write, outside, source):
+    with pytest.raises(FormatError, match=f"the parameters of the node 'amcl' are not .* in '?{re.escape(source)}"):
+        read_stack_file(write(outside + node()))
+    ((line, found),) = read_stack_file(write(outside + node(param("laser_z_rand", "0.1")))).section.elsewhere
+    assert (line, found[: len(source)]) == (2, source)
+
+
+@pytest.mark.parametrize(
+    "outside",
+    [
+        '<rosparam ns="move_base" file="amcl.yaml"/>',
+        '<rosparam ns="amcl2">\nlaser_z_hit: 0.1\n</rosparam>',
+        '<rosparam file="costmap.yaml"/>',
+        '<rosparam ns="amcl" command="delete" param="laser_z_hit"/>',
+        param("amcl/use_map_topic", "true"),
+        param("laser_z_hit", "0.1"),
+    ],
+)
+def test_what_is_set_outside_for_others_does_not_count(write, outside):
+    assert not read_stack_file(write(outside + node())).section.elsewhere
 
 
 @pytest.mark.parametrize(

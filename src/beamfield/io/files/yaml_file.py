@@ -129,8 +129,8 @@ def read_yaml(
     ------
     FormatError
         If the file is empty, too large, has too many keys and values, no UTF-8, no YAML, several documents, duplicate
-        keys, keys that are not text, anchors and aliases (no file that beamfield reads needs them, and they can expand
-        without bound), or tags of program objects; or if its top level has no keys.
+        keys, keys that are not text, anchors and aliases (they can expand without bound, and ROS 2 refuses aliases),
+        or tags of program objects; or if its top level has no keys.
     OSError
         As the file system says.
 

@@ -105,12 +105,12 @@ def given_again(subject: Subject) -> Iterator[Finding]:
 
 
 def loaded_elsewhere(subject: Subject) -> Iterator[Finding]:
-    """Report a launch file that loads more parameters from another file."""
+    """Report a launch file whose node gets more parameters from another file, or from tags outside of it."""
     for line, source in subject.file.section.elsewhere:
         yield replace(subject.finding(
             "loaded-elsewhere", "info", f"the node also takes parameters from {source}",
-            "that file is not read here: parameters missing from this one are assumed at their defaults",
-            "check that file as well",
+            "those are not read here: parameters missing from the node are assumed at their defaults",
+            "check them as well",
         ), line=line)  # fmt: skip
 
 

@@ -22,6 +22,8 @@ MAX_BYTES = 2_000_000
 _ENDINGS = ("", "_node", ".py")
 # What stands in the names of launch files with such a node.
 _LIKELY = ("amcl", "locali")
+# What stands where a file's name would be: tags of this file that are not read.
+_TEXT, _OUTSIDE = "the text of <rosparam>", "a <param> outside of it"
 _TAG = re.compile(r"<[^\s/>]+")
 _ATTRIBUTE = re.compile(r"""\s+([^\s=<>"']+)\s*=\s*("[^"]*"|'[^']*')""")
 
@@ -36,8 +38,8 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     twice.
 
     FormatError if the file is too large, no UTF-8, no XML, or declares entities (which can expand without bound); if a
-    node has text of ``<rosparam>`` that is not understood, or all its parameters in another file, or if there is no
-    such node but an included file may have it.
+    node has text of ``<rosparam>`` that is not understood, or all its parameters in another file or in tags outside of
+    it, or if there is no such node but an included file may have it.
     """
     content = read_at_most(path, MAX_BYTES, "a launch file").removeprefix(b"\xef\xbb\xbf")
     text = decoded(path, content)
@@ -46,7 +48,7 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     chosen = [node for node in nodes if not signs.names.isdisjoint(node.params)]
     chosen = chosen or [node for node in nodes if node.localises]
     if not chosen and parser.included:
-        likely = [name for name in parser.included if any(word in name.rsplit("/", 1)[-1] for word in _LIKELY)]
+        likely = [name for name in parser.included if _is_likely(name)]
         files = ", ".join(list(dict.fromkeys(map(repr, likely or parser.included)))[:5])
         raise FormatError(
             path,
@@ -58,6 +60,10 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     offsets = [at for node in chosen for at in (node.end, *(p.offset for p in node.params.values()))]
     places = _characters(content, offsets)
     return [_section(path, text, node, signs.names, places) for node in chosen]
+
+
+def _is_likely(file: str) -> bool:
+    return any(word in file.rsplit("/", 1)[-1] for word in _LIKELY)
 
 
 class _Param(NamedTuple):
@@ -102,6 +108,8 @@ class _Parser:
         # Whether within <include>, whose arguments are the other file's.
         self.including = False
         self.included: list[str] = []
+        # Of what sets parameters outside of the nodes: line, namespace and source.
+        self.outside: list[tuple[int, str, str]] = []
 
     def nodes(self, content: bytes) -> list[_Node]:
         self.content = content
@@ -115,6 +123,12 @@ class _Parser:
         except expat.ExpatError as error:
             message = f"not valid XML: {expat.ErrorString(error.code)}"
             raise FormatError(self.path, message, line=error.lineno) from error
+        for node in self.found:
+            for line, namespace, source in self.outside:
+                # A file for the namespaces around the node may have its parameters: its name tells.
+                is_around = f"/{node.label}/".startswith(f"/{namespace}/" if namespace else "/")
+                if namespace == node.label or (is_around and _is_likely(source)):
+                    node.elsewhere.append((line, source))
         return self.found
 
     def begin(self, tag: str, attributes: dict[str, str]) -> None:
@@ -133,6 +147,8 @@ class _Parser:
             node = self.new_node(namespace, attributes)
         elif there and node is not None:
             self.inside(node, tag, attributes)
+        elif there and tag in ("rosparam", "param"):
+            self.outside_of_nodes(namespace, tag, attributes)
         self.open.append((there, namespace, node))
 
     def finish(self, tag: str) -> None:
@@ -185,7 +201,7 @@ class _Parser:
             self.rosparam = attributes
         elif tag == "rosparam" or (tag == "param" and "from" in attributes):
             source = attributes.get("file", attributes.get("from"))
-            node.elsewhere.append((line, "the text of <rosparam>" if source is None else source))
+            node.elsewhere.append((line, _TEXT if source is None else source))
         elif tag == "param" and "value" in attributes:
             name = (self.arguments.fill_in(attributes.get("name", "")) or "").removeprefix("~")
             is_unsure = not self.arguments.is_known(attributes)
@@ -193,6 +209,17 @@ class _Parser:
             filled = self.arguments.fill_in(written)
             value, filled_in = None if filled is None else plain_value(filled), written if filled != written else ""
             self.add(node, name, _Param(value, filled_in, line, self.expat.CurrentByteIndex, is_unsure))
+
+    def outside_of_nodes(self, namespace: str, tag: str, attributes: dict[str, str]) -> None:
+        if tag == "rosparam" and attributes.get("command", "load") == "load":
+            given, source = [attributes.get("ns", ""), attributes.get("param", "")], attributes.get("file", _TEXT)
+        elif attributes.get("name", "").rpartition("/")[2] in self.signs.names:
+            given, source = [attributes["name"].rpartition("/")[0]], attributes.get("from", _OUTSIDE)
+        else:
+            return
+        parts = (namespace, *(self.arguments.fill_in(part) or part for part in given))
+        where = "/".join(part.strip("/") for part in parts if part.strip("/"))
+        self.outside.append((self.expat.CurrentLineNumber, where, source))
 
     def add(self, node: _Node, name: str, param: _Param) -> None:
         known = node.params.get(name)
@@ -211,11 +238,10 @@ class _Parser:
 def _section(path: Path, text: str, node: _Node, known: Set[str], places: dict[int, int]) -> ParameterSection:
     if node.elsewhere and known.isdisjoint(node.params):
         line = node.elsewhere[0][0]
-        sources = " and ".join(repr(source) for _, source in node.elsewhere)
-        raise FormatError(
-            path, f"the parameters of the node {node.label!r} are not in this file but in {sources}: give that file",
-            line=line,
-        )  # fmt: skip
+        files = " and ".join(repr(source) for _, source in node.elsewhere if source not in (_TEXT, _OUTSIDE))
+        here = f"inside it but in {node.elsewhere[0][1]}, which is not read: move them into the node"
+        where = f"in this file but in {files}: give that file" if files else here
+        raise FormatError(path, f"the parameters of the node {node.label!r} are not {where}", line=line)
     entries = {}
     for name, param in node.params.items():
         at = places[param.offset]

@@ -45,17 +45,26 @@ def test_a_fleet_is_reported_from_raw_logs_and_the_same_when_asked_again(tmp_pat
     [
         ("{tmp}/none.yaml", 1, "No such file"),
         ("{tmp}", 1, "no logs"),
-        ("{tmp}/known --catalogue other", 2, "--catalogue: is for a manifest"),
+        ("{tmp}/known.yaml --catalogue other", 2, "--catalogue: is for a manifest"),
     ],
 )
 def test_what_is_no_fleet_is_named_and_nothing_is_written(words, code, said, tmp_path, capsys):
-    (tmp_path / "known").mkdir()
-    (tmp_path / "known/catalogue.json").write_text("{}")
+    (tmp_path / "known.yaml").mkdir()
+    (tmp_path / "known.yaml/catalogue.json").write_text("{}")
     out = tmp_path / "out"
     typed = ["fleet", "report", *words.format(tmp=tmp_path).split(), "--out", str(out), "--scheduler", "serial"]
     assert main(typed) == code
     assert said in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_where_no_run_can_be_used_the_error_has_the_first_reason_and_where_to_find_the_others(tmp_path, capsys):
+    (tmp_path / "fleet.csv").write_text("log,map,robot,site\n1.log,map.yaml,ann,hall\n2.log,map.yaml,bob,hall\n")
+    out = ["--out", str(tmp_path / "out"), "--scheduler", "serial"]
+    assert main(["fleet", "report", str(tmp_path / "fleet.csv"), *out]) == 3
+    said = capsys.readouterr().err
+    assert "no run of the catalogue is used: " in said
+    assert "1.log: No such file or directory; beamfield fleet scan lists the reasons for all 2 runs" in said
 
 
 def test_a_missing_manifest_is_refused_before_workers_start(tmp_path, capsys, monkeypatch):

@@ -84,8 +84,8 @@ def _catalogue_or_manifest(arguments: argparse.Namespace) -> Catalogue | tuple[M
     from beamfield.fleet.manifest import read_manifest
 
     given = arguments.fleet
-    is_manifest = without_secrets(given).lower().endswith((".yaml", ".yml", ".csv"))
-    if is_manifest or not (is_address(given) or (Path(given) / CATALOGUE_FILE).is_file()):
+    is_address_of_manifest = without_secrets(given).lower().endswith((".yaml", ".yml", ".csv"))
+    if is_address_of_manifest if is_address(given) else not (Path(given) / CATALOGUE_FILE).is_file():
         return read_manifest(given)
     if arguments.catalogue is not None:
         raise InvalidInputError("--catalogue: is for a manifest, and a catalogue is given")

@@ -160,9 +160,17 @@ def learn(catalogue: Catalogue, engine: Engine, *, by: By = "fleet", thin: int =
         if not isinstance(item, GroupFit)
     )
     if not fits:
-        unused = "; ".join(["no run of the catalogue is used", *(record.reason for record in catalogue.runs[:1])])
-        raise TooLittleDataError(f"nothing to learn from: {left_out[0][2] if left_out else unused}")
+        raise TooLittleDataError(f"nothing to learn from: {left_out[0][2] if left_out else _unused(catalogue)}")
     return FleetFit(by, fits, left_out)
+
+
+def _unused(catalogue: Catalogue) -> str:
+    """Say why no run is used: the first reason, and where to find the others."""
+    runs = catalogue.runs
+    if not runs:
+        return "the catalogue has no run"
+    others = f"; beamfield fleet scan lists the reasons for all {len(runs)} runs" if runs[1:] else ""
+    return f"no run of the catalogue is used: {runs[0].reason}{others}"
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -146,6 +147,9 @@ def test_a_robot_that_was_carried_is_found_again_and_the_time_named(drive: Senso
     (carried,) = [one for one in fit.findings if one.name == "kidnapped"]
     assert carried.values["time_s"] == pytest.approx(log.stamps[160] - log.stamps[0], abs=1.5)
     assert distances(fit, log)[fit.trusted].max() < 0.1
+    driven = np.delete(np.hypot(*np.diff(log.poses[:, :2], axis=0).T), 159).sum()
+    said = re.search(r"scans, ([\d.]+) m", fit.summary())
+    assert float(said.group(1)) == pytest.approx(driven, rel=0.01)
 
 
 def test_a_stamp_that_is_no_number_is_named_as_such(drive: SensorLog):

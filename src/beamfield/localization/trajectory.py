@@ -101,13 +101,15 @@ class TrajectoryFit:
     def summary(self) -> str:
         """Return what was found in a few lines."""
         deviation = position_deviations(self.covariances)[self.trusted if self.trusted.any() else slice(None)]
-        path = float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
+        steps = np.hypot(*np.diff(self.poses[:, :2], axis=0).T)
+        carried = [one.values["time_s"] for one in self.findings if one.name == "kidnapped"]
+        steps[np.searchsorted(self.stamps - self.stamps[0], carried) - 1] = 0.0  # not driven
         x, y, theta = self.poses[0]
         turned = np.ptp(np.unwrap(self.poses[:, 2])) >= LEAST_TURN
         return (
             f"start      {x:.3f} m, {y:.3f} m, {np.degrees(theta):.1f} deg; "
             f"{self.hypotheses[0].agrees:.0%} of the beams agree with the map\n"
-            f"path       {len(self)} scans, {path:.1f} m, {self.stamps[-1] - self.stamps[0]:.1f} s\n"
+            f"path       {len(self)} scans, {steps.sum():.1f} m, {self.stamps[-1] - self.stamps[0]:.1f} s\n"
             f"trusted    {self.trusted.mean():.1%} of the scans\n"
             f"position   {np.median(deviation):.3f} m standard deviation (median), {deviation.max():.3f} m at worst\n"
             f"odometry   distances off by {-self.distance_scale:+.2%}"

@@ -227,9 +227,9 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
 
 
 def _lost(given: _Inputs) -> str:
-    """Return where the log's own poses leave the fitted ones, if others were fitted instead."""
+    """Return where the log's own poses leave the fitted ones, if others were fitted instead, and what to do."""
     own = None if given.fitted is None else given.fitted.instead_of
-    return own.text.rstrip(".") if own is not None and own.name == "own-poses-lost" else ""
+    return f"{own.text} {own.do}".rstrip(".") if own is not None and own.name == "own-poses-lost" else ""
 
 
 def _disagreement(given: _Inputs) -> str:

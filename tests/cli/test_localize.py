@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from beamfield.cli.film import Film
+from beamfield.cli.film import FRAMES, Film
 from beamfield.cli.inputs import OF_MOVED_MAP
 from beamfield.cli.localize_summary import run_summary
 from beamfield.cli.main import main
@@ -118,6 +118,14 @@ def test_particles_are_kept_by_their_weights():
     assert 100 <= len(kept) <= 200
     assert kept.max() < 1000.0
     assert kept[:, 0].mean() == pytest.approx(500.0, abs=20.0)
+
+
+@pytest.mark.parametrize("n", [1, FRAMES, FRAMES + 1, 2 * FRAMES - 1, 1000])
+def test_an_animation_has_so_many_pictures_at_most(n):
+    film = Film(n, 0)
+    for i in range(n):
+        film.add_cloud(i, np.zeros((1, 3)), np.ones(1))
+    assert min(n, FRAMES // 2) <= len(film.frames) <= FRAMES
 
 
 @pytest.mark.usefixtures("undrawn")

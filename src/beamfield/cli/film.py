@@ -48,7 +48,7 @@ class Film:
     @property
     def frames(self) -> list[tuple[int, FloatArray]]:
         """The particles for an animation's pictures."""
-        return self.particles[:: max(1, len(self.particles) // FRAMES)]
+        return self.particles[:: max(1, -(-len(self.particles) // FRAMES))]
 
     def clouds(self, stamps: FloatArray) -> list[tuple[float, FloatArray]]:
         """Return the particles for a file, with the stamps of their scans."""

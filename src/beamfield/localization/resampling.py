@@ -31,7 +31,8 @@ class KldSampling:
     Parameters
     ----------
     least
-        Fewest particles, however small the cloud.
+        Fewest particles, however small the cloud: as many are drawn of one that fits into a single bin. From a handful
+        it hardly spreads again; 1 leaves one particle for good, which follows the odometry and no measurement.
     error
         The distance, nats.
     probability

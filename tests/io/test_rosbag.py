@@ -435,6 +435,15 @@ def test_scans_that_swapped_places_on_the_network_are_sorted_with_a_note(tmp_pat
     assert any("sorted by their stamps" in note for note in log.notes)
 
 
+def test_scans_that_are_published_twice_are_noted(tmp_path):
+    bag = MiniBag()
+    for i in range(4):
+        for _ in range(2):
+            bag.scan(1.0 + i, [1.0 + i, np.nan, 3.0])
+    log = read_bag(bag.scan(4.0, [9.0, np.nan, 3.0]).write(tmp_path))
+    assert "/scan: 4 of 9 scans repeat the one before, stamp and readings" in log.notes
+
+
 def test_single_scans_that_were_long_under_way_are_sorted_with_a_note(tmp_path):
     stamps = np.arange(300) * 0.1
     arrived = np.r_[stamps[:50], stamps[51:100], stamps[50], stamps[100:]]

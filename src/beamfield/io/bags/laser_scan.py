@@ -222,7 +222,13 @@ class LaserScanCollector:
             )
         recorded = np.array(self._recorded)
         stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, self._notes, recorded)
+        ranges = ranges if (np.diff(order) > 0).all() else ranges[order]
         self._notes += [f"{self.topic}: {note}" for note in gridded.notes]
+        at_once = np.flatnonzero(np.diff(stamps) == 0.0)
+        if repeated := sum(np.array_equal(ranges[i], ranges[i + 1], equal_nan=True) for i in at_once):
+            self._notes.append(
+                f"{self.topic}: {repeated} of {len(stamps)} scans repeat the one before, stamp and readings"
+            )
         return LaserScans(
             topic=self.topic,
             frame=self._frame,
@@ -230,7 +236,7 @@ class LaserScanCollector:
             range_min=self._limits[0],
             range_max=self._limits[1],
             stamps=stamps,
-            ranges=ranges if (np.diff(order) > 0).all() else ranges[order],
+            ranges=ranges,
             notes=tuple(self._notes),
             lag=float(np.median(np.subtract(self._recorded, self._stamps))) if self._are_stamped() else np.nan,
         )

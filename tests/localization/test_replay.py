@@ -59,7 +59,8 @@ def test_errors_of_a_run_by_hand():
     assert found.yaw_p95_deg == pytest.approx(0.85 * 90.0)
     assert found.sd_position == pytest.approx(np.sqrt(0.06))
     assert (found.updates, found.particles, found.update_ms) == (4, 500.0, None)
-    assert "LOST" in found.summary()
+    assert "0.100 at the end, but LOST before, more than 2 m off in over 10% of the scans; heading" in found.summary()
+    assert "5.000 at the end: LOST; heading" in judge_replay(replay(poses[::-1]), truth).summary()
 
 
 @pytest.mark.parametrize(

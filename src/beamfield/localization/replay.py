@@ -198,9 +198,11 @@ class ReplayErrors:
     def summary(self) -> str:
         """Return the numbers in three lines for people."""
         time = "" if self.update_ms is None else f" of {self.update_ms:.3g} ms"
+        before = f", but LOST before, more than {LOST_DISTANCE:g} m off in over {LOST_SHARE:.0%} of the scans"
+        lost = "" if not self.lost else ": LOST" if self.end > LOST_DISTANCE else before
         return (
             f"position error {self.mean:.3f} m mean, {self.median:.3f} median, 95% below {self.p95:.3f}, "
-            f"{self.end:.3f} at the end{': LOST' if self.lost else ''}; heading {self.yaw_rmse_deg:.2f} deg rms\n"
+            f"{self.end:.3f} at the end{lost}; heading {self.yaw_rmse_deg:.2f} deg rms\n"
             f"reference inside the particles' 95% ellipse in {self.inside:.0%} of the updates with a reference "
             f"({self.inside_noisy:.0%} with {REFERENCE_NOISE:g} m of noise of the reference), median NEES "
             f"{self.nees_median:.2f} (right: 2.37)\n"

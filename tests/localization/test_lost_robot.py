@@ -42,6 +42,38 @@ def test_a_robot_is_lost_whose_scans_agree_by_less_than_45_percent():
     }  # fmt: skip
 
 
+def long_log(first: int, end: int, n_wrong: int = 16) -> SensorLog:
+    """Return the drive three times, of which so many beams of the scans between two are 1 m too short."""
+    long = log()[np.repeat(np.arange(21), 3)]
+    ranges = long.ranges.copy()
+    ranges[first:end, :n_wrong] -= 1.0
+    return replace(long, ranges=ranges, stamps=np.arange(63.0))
+
+
+def test_one_whose_last_scans_disagree_after_most_agreed_is_most_likely_lost_since_then():
+    poses = np.repeat(POSES, 3, axis=0)
+    found = find_lost_robot(long_log(40, 63), GRID, poses)
+    assert found is not None
+    assert found.name == "lost-at-end"
+    assert found.text.startswith("From 40 s after the first scan on, 20% of a scan's readings agree with the map")
+    assert found.values == {
+        "time_s": 40.0, "median_agreement": pytest.approx(0.2), "median_agreement_before": 1.0,
+    }  # fmt: skip
+    # Fewer scans, more that agree, scans that agree again, or a robot that stands still: nobody knows.
+    assert find_lost_robot(long_log(44, 63), GRID, poses) is None
+    assert find_lost_robot(long_log(40, 63, 14), GRID, poses) is None
+    assert find_lost_robot(long_log(30, 55), GRID, poses) is None
+    standing = replace(long_log(40, 63), odometry=np.where(np.arange(63)[:, None] < 40, poses, poses[40]))
+    assert find_lost_robot(standing, GRID, poses) is None
+
+
+def test_one_that_was_lost_for_longer_than_not_is_lost_and_said_since_when():
+    found = find_lost_robot(long_log(25, 63), GRID, np.repeat(POSES, 3, axis=0))
+    assert found is not None
+    assert found.name == "robot-lost"
+    assert "(until 25 s after the first scan 100%, from then on 20%)" in found.text
+
+
 def test_one_whose_scans_agree_far_better_there_than_anywhere_near_is_not_lost_its_map_is_out_of_date():
     found = find_lost_robot(drive(hall(), 25), hall(), HALL_POSES)
     assert found is not None

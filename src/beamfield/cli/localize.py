@@ -97,6 +97,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read, filter, judge, write."""
     # What imports numerical libraries is imported where it is used, so that --help answers at once.
+    import numpy as np
+
     from beamfield.cli.film import Film
     from beamfield.cli.localize_summary import ended_at, run_facts, run_summary, sure_from
     from beamfield.finding import worst_first
@@ -124,7 +126,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         # Before a robot is found, poses are a guess; if it never is, they are judged all the same.
         is_found = not any(finding.name == "not-found" for finding in found.findings)
         since = (sure_from(found) or 0) if start is None and is_found else 0
-        lost = find_lost_robot(log[since:], grid, found.poses[since:])
+        lost = find_lost_robot(log, grid, np.where(np.arange(len(log))[:, None] < since, np.nan, found.poses))
         is_sonar = log.finder.opening_angle > 0.0
         judged = [lost] if lost is not None else [lost_not_judged()] if is_sonar else []
         found = replace(found, findings=worst_first((*found.findings, *time_gaps(log.stamps), *judged)))

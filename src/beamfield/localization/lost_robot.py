@@ -14,13 +14,18 @@ from beamfield.sensors import SensorLog
 
 # Odometry with more jumps than this share of its steps is no robot's.
 MOST_JUMPS = 0.1
+# Scans that are compared at most. At the end a robot is lost where so many of them or more, over a metre or more of
+# way, agree so little, as the last ones do alone; they begin where the sum of what is missing to AGREES is largest.
+SCANS, FEWEST, LEAST_WAY = 1000, 20, 1.0
+AGREES, LEAST_AT_END = 0.3, 0.25
 
 
 def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Finding | None:
     """Return a warning if the robot is elsewhere, the map is out of date, or the odometry cannot be followed.
 
     Poses (t, 3) are where a filter took the robot to be; NaN where it said nothing. The warning is "robot-lost" or
-    "map-out-of-date"; None if scans agree, or if there is nothing to tell by: no reading, or cones of a sonar.
+    "map-out-of-date", or "lost-at-end" if most scans agree but the last ones do not; None if scans agree, or if there
+    is nothing to tell by: no reading, or cones of a sonar.
     """
     known = np.isfinite(log.odometry).all(axis=1)
     odometry, stamps = log.odometry[known], log.stamps[known]
@@ -30,18 +35,28 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
         return _jumping(n_jumps, len(steps))
     if log.finder.opening_angle > 0.0:
         return None
-    shares = scan_agreement(log, grid, poses)
-    if np.isnan(shares).all() or float(np.nanmedian(shares)) >= LEAST_AGREEMENT:
+    shares = scan_agreement(log, grid, poses, most=SCANS)
+    seen = np.flatnonzero(np.isfinite(shares))
+    if not len(seen):
         return None
-    if (outdated := find_outdated_map(log, grid, poses)) is not None:
+    shares, median = shares[seen], float(np.median(shares[seen]))
+    parted, end = "", _end(shares, log.odometry[seen])
+    if end is not None:
+        seconds = float(log.stamps[seen[end]] - log.stamps[0])
+        before, after = float(np.median(shares[:end])), float(np.median(shares[end:]))
+        if median >= LEAST_AGREEMENT:
+            return _lost_at_end(before, after, seconds)
+        parted = f" (until {seconds:.0f} s after the first scan {before:.0%}, from then on {after:.0%})"
+    elif median >= LEAST_AGREEMENT:
+        return None
+    if end is None and (outdated := find_outdated_map(log, grid, poses)) is not None:
         return outdated
-    median = float(np.nanmedian(shares))
     way, turn = float(np.hypot(*steps[:, :2].T).sum()), float(np.abs(steps[:, 2]).sum())
     return Finding(
         "robot-lost",
         "warning",
         f"Where the filter takes the robot to be, {int(100.0 * median)}% of a scan's readings agree with the map "
-        f"(median; expected {LEAST_AGREEMENT:.0%} or more). By its odometry it drove {way:.1f} m and "
+        f"(median; expected {LEAST_AGREEMENT:.0%} or more){parted}. By its odometry it drove {way:.1f} m and "
         f"turned {np.degrees(turn):.0f} degrees.",
         {"median_agreement": median, "path_length_m": way, "turn_rad": turn},
         why="The robot was most likely elsewhere: the start, the map or the odometry (its signs, or it stands still) "
@@ -58,6 +73,31 @@ def lost_not_judged() -> Finding:
         "Whether the robot is lost is not judged from the cones of a sonar.",
         why="The filter can be sure of a wrong place.",
         do="See in localization.png whether the path keeps to free space.",
+    )
+
+
+def _end(shares: FloatArray, odometry: FloatArray) -> int | None:
+    """Return from which share (t,) on they disagree, to the end, after most agreed; None if they do not."""
+    missing = np.cumsum((AGREES - shares)[::-1])[::-1]
+    begin = int(missing.argmax())
+    if not FEWEST <= begin <= len(shares) - FEWEST or np.median(shares[:begin]) < LEAST_AGREEMENT:
+        return None
+    if max(shares[begin:].mean(), shares[-FEWEST:].mean()) >= LEAST_AT_END:
+        return None
+    way = np.nansum(np.hypot(*np.diff(odometry[begin:, :2], axis=0).T))
+    return begin if way >= LEAST_WAY else None
+
+
+def _lost_at_end(before: float, after: float, seconds: float) -> Finding:
+    return Finding(
+        "lost-at-end",
+        "warning",
+        f"From {seconds:.0f} s after the first scan on, {after:.0%} of a scan's readings agree with the map where the "
+        f"filter takes the robot to be (median; before: {before:.0%}).",
+        {"time_s": seconds, "median_agreement": after, "median_agreement_before": before},
+        why="The robot is most likely elsewhere since then: carried, slipped or lost; or the map is wrong there.",
+        do="Run beamfield trajectory on this log and map: it fits the whole drive, and says when the robot was carried "
+        "or slipped.",
     )
 
 

@@ -185,6 +185,15 @@ def test_nan_makes_all_weights_of_ros1s_beam_model_nothing_and_is_left_out_in_na
     assert np.isfinite(few.log_likelihood(scan, POSES)).all()
 
 
+def test_readings_beyond_laser_max_range_are_hits_in_nav2s_beam_model_and_nothing_in_ros1s():
+    corridor = OccupancyGrid.from_ros([[0] * 11 + [100]], 0.1)
+    scan = Scan([1.1, 0.6], RangeFinder.from_bearings([0.0, 0.0], MAX_RANGE))
+    parameters = Nav2Parameters(**WEIGHTS, max_beams=2, laser_max_range=1.05)
+    nav2 = Nav2Beam(corridor, parameters).evidence(scan, [[0.0, 0.0, 0.0]])
+    ros1 = Ros1Beam(corridor, Ros1Parameters.from_amcl(parameters)).evidence(scan, [[0.0, 0.0, 0.0]])
+    assert (nav2.beams.tolist(), ros1.beams.tolist()) == ([0, 1], [1])
+
+
 def test_cells_are_centred_on_the_origin_and_its_yaw_is_ignored():
     cells = np.zeros((3, 3))
     cells[1, 1] = 100

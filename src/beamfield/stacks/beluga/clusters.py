@@ -41,7 +41,8 @@ def cluster_labels(poses: FloatArray, weights: FloatArray) -> NDArray[np.int64]:
     wrapped = np.column_stack([poses[:, :2], wrap_angle(poses[:, 2])])
     sizes = BinSizes(SIDE, SIDE, TURN)
     codes, first, cell_of = np.unique(bin_codes(wrapped, sizes, wrapped[0]), return_index=True, return_inverse=True)
-    mean = np.bincount(cell_of, weights) / np.bincount(cell_of)
+    # Of equal particles all means are to be the same, in which those of 1/n would differ by their rounding.
+    mean = np.bincount(cell_of, weights / weights.max()) / np.bincount(cell_of)
     mean = np.minimum(mean, np.sort(mean)[int(len(mean) * CAP)])
     around = compose(wrapped[first][:, None], _STEPS)
     neighbours = bin_codes(around.reshape(-1, 3), sizes, wrapped[0]).reshape(len(codes), len(_STEPS)).tolist()

@@ -92,6 +92,8 @@ def amcl_weights(given: Input, poses: list[Pose], program: str, *, converged: bo
     step = (len(readings) - 1) // (v["max_beams"] - 1)
     if step == 0:
         return NEVER_RETURNS
+    if program == "ros1":
+        readings = [math.inf if z > high else z for z in readings]
     return [amcl_beam(given, pose, readings[::step], given.bearings[::step], high, program) for pose in poses]
 
 

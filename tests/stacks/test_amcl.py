@@ -69,10 +69,24 @@ def test_readings_that_are_too_short_become_the_longest_range():
 
 def test_laser_max_range_holds_if_it_is_less_than_the_sensors():
     scan = Scan([0.5, 1.5], RangeFinder.from_bearings([0.0, 0.0], MAX_RANGE))
-    for limit, used, max_range in ((1.0, [0], 1.0), (100.0, [0, 1], 2.0), (-1.0, [0, 1], 2.0)):
+    for limit, used, max_range in ((1.0, [0], 1.0), (100.0, [0, 1], 2.0), (-1.0, [0, 1], 2.0), (1e40, [0, 1], 2.0)):
         parameters = Nav2Parameters(max_beams=2, laser_max_range=limit)
         evidence = Nav2Field(small_room(), parameters).evidence(scan, POSES)
         assert (evidence.beams.tolist(), evidence.max_range) == (used, max_range)
+
+
+def test_limits_of_the_file_and_the_sensor_are_compared_in_single_precision():
+    """In a message 8.1 is 8.10000038: the same limit, so that readings of it are the longest."""
+    as_sent = [float(np.float32(8.1)), float(np.float32(0.1))]
+    scan = Scan(as_sent, RangeFinder.from_bearings([0.0, 0.0], as_sent[0], min_range=0.05))
+    parameters = Nav2Parameters(max_beams=2, laser_max_range=8.1, laser_min_range=0.1)
+    evidence = Nav2Beam(small_room(), parameters).evidence(scan, POSES)
+    assert evidence.max_range == as_sent[0]
+    assert evidence.ranges.tolist() == [as_sent[0], as_sent[0]]
+    # A log of numbers in double precision has a sensor's limit in double precision.
+    text = Scan([5.6, 1.0], RangeFinder.from_bearings([0.0, 0.0], 5.6))
+    evidence = Nav2Beam(small_room(), dataclasses.replace(parameters, laser_max_range=5.6)).evidence(text, POSES)
+    assert (evidence.max_range, evidence.ranges.tolist()) == (5.6, [5.6, 1.0])
 
 
 def test_beam_gives_each_class_of_readings_its_own_terms():
@@ -169,6 +183,15 @@ def test_nan_makes_all_weights_of_ros1s_beam_model_nothing_and_is_left_out_in_na
     few = Ros1Beam(small_room(), Ros1Parameters.from_amcl(dataclasses.replace(PARAMETERS, max_beams=6)))
     assert 4 not in few.beam_rule(16, few.parameters.as_amcl().max_beams)
     assert np.isfinite(few.log_likelihood(scan, POSES)).all()
+
+
+def test_readings_beyond_laser_max_range_are_hits_in_nav2s_beam_model_and_nothing_in_ros1s():
+    corridor = OccupancyGrid.from_ros([[0] * 11 + [100]], 0.1)
+    scan = Scan([1.1, 0.6], RangeFinder.from_bearings([0.0, 0.0], MAX_RANGE))
+    parameters = Nav2Parameters(**WEIGHTS, max_beams=2, laser_max_range=1.05)
+    nav2 = Nav2Beam(corridor, parameters).evidence(scan, [[0.0, 0.0, 0.0]])
+    ros1 = Ros1Beam(corridor, Ros1Parameters.from_amcl(parameters)).evidence(scan, [[0.0, 0.0, 0.0]])
+    assert (nav2.beams.tolist(), ros1.beams.tolist()) == ([0, 1], [1])
 
 
 def test_cells_are_centred_on_the_origin_and_its_yaw_is_ignored():

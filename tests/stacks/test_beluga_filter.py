@@ -71,11 +71,14 @@ def test_clusters_are_those_of_a_slow_transcription(rng):
 
 
 def test_equal_weights_join_what_touches_and_a_turn_about_pi_separates_nothing():
-    poses = np.array([[0.1, 0.1, np.pi - 0.01 + 0.002 * i] for i in range(11)])
+    poses = np.array([[0.1, 0.1, np.pi - 0.1 + 0.02 * i] for i in range(11)])
     assert set(cluster_labels(poses, np.full(11, 1 / 11))) == {0}
     apart = np.concatenate([poses, poses + np.array([5.0, 0.0, 0.0])])
     for far in ([0.0, 0.0, 0.0], [5e5, 5.4e6, 0.0]):
         assert len(set(cluster_labels(apart + far, np.full(22, 1 / 22)))) == 2
+    # The rounding of 1 / n makes no cell heavier than the next.
+    row = np.repeat([[0.1 + 0.2 * i, 0.1, 0.0] for i in range(10)], np.arange(3, 13), axis=0)
+    assert set(cluster_labels(row, np.full(75, 1 / 75))) == {0}
 
 
 def test_the_answer_is_the_heaviest_cluster_of_more_than_one_particle():

@@ -285,6 +285,12 @@ def test_headings_are_sums_of_wrapped_rotations_as_the_program_has_them(rng, end
     assert (np.ptp(heading) > 6.0) == splits
 
 
+def test_ros1_never_has_more_particles_than_the_maximum():
+    reversed_counts = Ros1FilterParameters(min_particles=200, max_particles=50, resample_interval=1)
+    emulated = build_filter("ros1", Nav2Field(small_room(), NAV2), parameters=reversed_counts)
+    assert emulated.run(drive(4), START, np.random.default_rng(1)).particles.tolist() == [50, 50]
+
+
 def test_only_differential_models_wrap_rotations():
     model = Nav2Field(small_room(), NAV2)
     assert build_filter("nav2", model, Nav2Motion()).wraps_rotations

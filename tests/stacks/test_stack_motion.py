@@ -62,7 +62,7 @@ MODELS = {
     ),
     "ROS 1 omni-corrected": (
         Ros1Motion("omni-corrected", *ALPHAS),
-        lambda pose, u, n: slow.amcl_omni(pose, u, slow.ros1_omni_factors(*ALPHAS), n),
+        lambda pose, u, n: slow.amcl_omni(pose, u, slow.nav2_omni_factors(*ALPHAS), n),
     ),
     "Beluga differential": (
         BelugaMotion("differential_drive", *ALPHAS),

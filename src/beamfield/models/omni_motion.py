@@ -45,7 +45,7 @@ class OmniMotion(OdometryMotion):
 
     Notes
     -----
-    ROS 1's amcl has alpha1 and alpha4 the other way round ("omni" and "omni-corrected").
+    ROS 1's amcl has alpha1 and alpha4 the other way round in "omni", and before Melodic in "omni-corrected", too.
 
     References
     ----------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,9 +35,9 @@ class AmclBeam(GridRays[P], Generic[P]):
 
     Rays stop at occupied and unknown cells and where they leave the map. Readings
     below the shortest range become range_max; +inf scores 0, so that a driver that reports missing returns as +inf
-    (REP 117) never brings z_max in. NaN counts nothing in nav2. ROS 1 has no test for it (``tests_nan``): if one of the
-    beams looked at is NaN, all weights are, and the filter makes all particles equal, as it does where all weights are
-    0; so here they are -inf.
+    (REP 117) never brings z_max in. Readings beyond range_max count as they are in nav2, and as +inf in ROS 1. NaN
+    counts nothing in nav2. ROS 1 has no test for it (``tests_nan``): if one of the beams looked at is NaN, all weights
+    are, and the filter makes all particles equal, as it does where all weights are 0; so here they are -inf.
 
     Parameters
     ----------
@@ -55,6 +55,8 @@ class AmclBeam(GridRays[P], Generic[P]):
     """
 
     beam_rule = staticmethod(partial(floor_step_beams, least_step=0))
+    # Whether readings beyond range_max are as missing returns.
+    beyond_is_missing: ClassVar[bool] = False
 
     def _read_map(self) -> tuple[OccupancyGrid, OccupancyGrid]:
         seen = amcl_grid(self.grid, self.map_mode)
@@ -67,6 +69,8 @@ class AmclBeam(GridRays[P], Generic[P]):
         ranges, range_max = amcl_ranges(z, parameters)
         if self.no_return == "range_max":
             ranges[ranges == np.inf] = z.finder.max_range
+        if self.beyond_is_missing:
+            ranges[ranges > range_max] = np.inf
         beams = self.beam_rule(len(ranges), parameters.max_beams)
         # +inf has p = 0 and adds nothing to the sum.
         beams = beams[np.isfinite(ranges[beams]) | (np.isnan(ranges[beams]) & (not self.tests_nan))]

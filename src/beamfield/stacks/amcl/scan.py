@@ -14,11 +14,14 @@ from beamfield.stacks.emulation.stack_map import MapMode, read_as_stack
 def amcl_ranges(scan: Scan, parameters: AmclParameters) -> tuple[FloatArray, float]:
     """Return the ranges (k,) that the models get, and the longest: what is too short becomes that.
 
-    The shortest and the longest range that count are the tighter of the sensor's and the parameters'.
+    The shortest and the longest range that count are the tighter of the sensor's and the parameters', compared in
+    single precision, as messages hold ranges: 8.1 is a little more there, and so the same limit.
     """
-    finder, low, high = scan.finder, parameters.laser_min_range, parameters.laser_max_range
-    range_min = max(finder.min_range, low) if low > 0.0 else finder.min_range
-    range_max = min(finder.max_range, high) if high > 0.0 else finder.max_range
+    finder = scan.finder
+    with np.errstate(over="ignore"):
+        low, high = np.float32(parameters.laser_min_range), np.float32(parameters.laser_max_range)
+    range_min = float(low) if low > np.float32(finder.min_range) else finder.min_range
+    range_max = float(high) if 0.0 < high < np.float32(finder.max_range) else finder.max_range
     ranges = np.array(scan.ranges)
     ranges[ranges <= range_min] = range_max
     return ranges, range_max

@@ -36,12 +36,14 @@ def cluster_labels(poses: FloatArray, weights: FloatArray) -> NDArray[np.int64]:
     Particles are counted in cells of 0.2 m, 0.2 m and 0.524 rad. Going from the cells with the highest mean weight
     downwards, each takes in those of its six neighbours that weigh no more and belong to none, and these theirs, before
     another peak begins a cluster. Neighbours lie along the axes of the robot at the first particle of a cell. Mean
-    weights are cut off where a tenth of the cells weighs more.
+    weights are cut off where a tenth of the cells weighs more. Of equal cells the program takes the one first that its
+    hash table happens to hold first; here they come in their order on the map.
     """
     wrapped = np.column_stack([poses[:, :2], wrap_angle(poses[:, 2])])
     sizes = BinSizes(SIDE, SIDE, TURN)
     codes, first, cell_of = np.unique(bin_codes(wrapped, sizes, wrapped[0]), return_index=True, return_inverse=True)
-    mean = np.bincount(cell_of, weights) / np.bincount(cell_of)
+    # Of equal particles all means are to be the same, in which those of 1/n would differ by their rounding.
+    mean = np.bincount(cell_of, weights / weights.max()) / np.bincount(cell_of)
     mean = np.minimum(mean, np.sort(mean)[int(len(mean) * CAP)])
     around = compose(wrapped[first][:, None], _STEPS)
     neighbours = bin_codes(around.reshape(-1, 3), sizes, wrapped[0]).reshape(len(codes), len(_STEPS)).tolist()

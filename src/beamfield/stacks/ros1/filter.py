@@ -21,7 +21,9 @@ class Ros1FilterParameters:
 
     Parameters
     ----------
-    min_particles, max_particles, resample_interval, update_min_d, update_min_a
+    min_particles, max_particles
+        Bounds of the number of particles; the maximum holds where it is below the minimum.
+    resample_interval, update_min_d, update_min_a
         As for `AmclFilterParameters`.
     recovery_alpha_slow, recovery_alpha_fast
         As for `AmclFilterParameters`.
@@ -56,5 +58,7 @@ def ros1_filter(model: Any, motion: Ros1Motion, parameters: Ros1FilterParameters
     """Return the filter that runs one of ROS 1 amcl's models."""
     names = (item.name for item in fields(AmclFilterParameters))
     values = {name: getattr(parameters, _NAMES.get(name, name)) for name in names}
+    # Only a later change of the parameters raises the maximum to the minimum.
+    values["min_particles"] = min(parameters.min_particles, parameters.max_particles)
     selective = parameters.selective_resampling
     return amcl_filter(model, motion, AmclFilterParameters(**values), selective_resampling=selective)

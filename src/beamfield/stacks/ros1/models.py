@@ -41,3 +41,4 @@ class Ros1Beam(AmclBeam[Ros1Parameters]):
     evidence_settings: ClassVar[tuple[str, ...]] = _own(AmclBeam.evidence_settings)
     fitted_parameters: ClassVar[tuple[str, ...]] = _own(AmclBeam.fitted_parameters)
     tests_nan: ClassVar[bool] = False
+    beyond_is_missing: ClassVar[bool] = True

@@ -21,8 +21,8 @@ class Ros1Motion(StackMotion):
     odom_model_type
         "diff" and "omni" take variances for standard deviations; "diff-corrected" and "omni-corrected" do not.
     odom_alpha1, odom_alpha2, odom_alpha3, odom_alpha4
-        As for `DifferentialMotion`. In the omni models odom_alpha1 is what `OmniMotion` calls alpha4, and the other way
-        round.
+        As for `DifferentialMotion` and `OmniMotion`. In "omni" odom_alpha1 is what `OmniMotion` calls alpha4, and the
+        other way round; before amcl 1.16.0 (Melodic) in "omni-corrected", too, which is not emulated.
     odom_alpha5
         Of the omni models alone.
 
@@ -55,4 +55,6 @@ class Ros1Motion(StackMotion):
         literal = not self.odom_model_type.endswith("-corrected")
         if self.odom_model_type.startswith("diff"):
             return DifferentialMotion(a1, a2, a3, a4, variance_as_deviation=literal)
-        return OmniMotion(a4, a2, a3, a1, self.odom_alpha5, variance_as_deviation=literal)
+        if literal:
+            a1, a4 = a4, a1
+        return OmniMotion(a1, a2, a3, a4, self.odom_alpha5, variance_as_deviation=literal)

@@ -282,7 +282,17 @@ def test_heavy_tails_are_found(rng):
     log = simulate(replace(RANGE_ONLY, spurious_rate=0.0), rng)
     log = edited(log, lambda _, z: replace(z, ranges=z.ranges + 0.1 * rng.standard_t(2.0, len(z))))
     result = learn(log, fit_spurious=False)
-    assert finding(result, "range-heavy-tails").values["beyond"] > 0.02
+    tails = finding(result, "range-heavy-tails")
+    assert tails.values["beyond"] > 0.02
+    # Only features without ids have the larger spurious_rate that the finding advises.
+    rates = [replace(result.parameters, spurious_rate=rate, max_range=14.0) for rate in (0.0, 0.3)]
+    models = [LandmarkModel(MAP, noise, correspondence="sum", mount=MOUNT) for noise in rates]
+    seen, pose = log.detections[0], log.poses[0]
+    believed = [model.log_likelihood(seen, pose) for model in models]
+    doubted = [model.log_likelihood(seen.without_ids(), pose) for model in models]
+    assert believed[0] == believed[1]
+    assert doubted[0] != doubted[1]
+    assert tails.do.endswith("and features without ids: it believes the ids that they carry.")
 
 
 def test_a_landmark_in_the_wrong_place_and_noise_that_grows_are_found(rng):

@@ -239,7 +239,7 @@ def _tails(what: str, e: FloatArray, w: FloatArray) -> Iterator[Finding]:
         f"{middle:.3g} {UNITS[what]}, where a normal has 0.3%: the tails are heavier.",
         {"beyond": beyond, "middle_deviation": middle},
         why=f"sigma_{what} is a compromise between most sightings and the few that are far off.",
-        do="Give a filter a larger spurious_rate.",
+        do="Give a filter a larger spurious_rate, and features without ids: it believes the ids that they carry.",
     )
 
 

@@ -212,7 +212,8 @@ def _filter(
 
         return localizer.run(log, start, rng, watch=watch)
 
-    return run, "beamfield's own", notes
+    name = "beam model" if arguments.model == "beam" else "likelihood field"
+    return run, f"beamfield's own, {name}", notes
 
 
 def _localizer(model: Any, grid: OccupancyGrid, arguments: argparse.Namespace) -> ScanLocalizer:
@@ -254,7 +255,11 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
         return BeamModel(grid, parameters, caster=table, **how), []
     notes: list[str] = []
     if not isinstance(saved, SavedLikelihoodField):
-        notes = inputs.left_out_of_a_field(parameters, arguments.params)
+        if saved is not None:
+            notes = inputs.left_out_of_a_field(parameters, arguments.params)
+            if arguments.model is None:
+                numbers = "a likelihood field runs with its z_hit, z_rand and sigma_hit"
+                notes.insert(0, f"{arguments.params} is a beam model: {numbers}; --model beam runs the model itself")
         parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=EXTENSIONS)
     return LikelihoodFieldModel(hollowed(grid), parameters, **how), notes
 

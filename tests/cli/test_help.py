@@ -155,6 +155,15 @@ def test_help_and_the_list_of_figures_load_no_numerical_library():
         (["--json", "map", "run.log"], "--json: options go after the command. See beamfield --help"),
         (["-q", "map", "run.log"], "-q: options go after the command. See beamfield --help"),
         (["fleet", "--out", "x", "scan", "."], "--out: options go after the command. See beamfield fleet --help"),
+        (
+            ["map", "s3://key:secret@store/run.log"],
+            "LOG: expected a path on this machine, got the address 's3://store/run.log'",
+        ),
+        (
+            ["map", "run.log", "--out", "s3://store/map.yaml"],
+            "-o/--out: expected a path on this machine, got the address",
+        ),
+        (["figures", "--out", "s3://store/pictures"], "-o/--out: expected a path on this machine, got the address"),
         (["map", "run.log", "--mask", "-5:5"], "--mask: a value that begins with - needs =, as in --mask=-5:5."),
         (
             ["localize", "run.log", "--map", "m", "-o", "x.tum"],

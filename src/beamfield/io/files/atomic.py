@@ -7,6 +7,7 @@ same target and gets the lock; where folders cannot be locked (Windows, some net
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import platform
@@ -87,13 +88,8 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
     with _parents(targets), ExitStack() as stack:
         scratch = [stack.enter_context(scratch_folder(target.parent, target.name)) for target in targets]
         parts = [folder / target.name for folder, target in zip(scratch, targets, strict=True)]
-        try:
+        with _known_names(parts, targets):
             yield parts
-        except OSError as error:
-            # A full disk is known by its number alone: the file that was written is not named.
-            if error.errno is None or error.filename is not None:
-                raise
-            raise type(error)(error.errno, error.strerror, str(targets[0])) from error
         for target, part in zip(targets, parts, strict=True):
             if not part.is_file():
                 raise InvalidInputError(f"{target}: nothing was written to the temporary file {part.name!r}")
@@ -134,7 +130,8 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     with _parents([target]) as created, scratch_folder(place, target.name) as scratch:
         part = scratch / target.name
         part.mkdir()
-        yield part
+        with _known_names([part], [target]):
+            yield part
         files = sorted(file for file in part.rglob("*") if not file.is_dir())
         if target.exists() or not _rename_folder(part, files, target):
             goals = [target / file.relative_to(part) for file in files]
@@ -180,6 +177,23 @@ def remove_abandoned(parent: Path, start: str = ".") -> None:
                     if lock is not None:
                         shutil.rmtree(entry, ignore_errors=True)
                         os.close(lock)
+
+
+@contextmanager
+def _known_names(parts: Sequence[Path], targets: Sequence[Path]) -> Iterator[None]:
+    """Let errors name files that the user knows: a full disk names none, and scratch folders are gone by then."""
+    try:
+        yield
+    except OSError as error:
+        name, known = error.filename, None
+        if name is None and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            known = str(targets[0])
+        for part, target in zip(parts, targets, strict=True):
+            if isinstance(name, str) and (name == str(part) or name.startswith(f"{part}{os.sep}")):
+                known = f"{target}{name.removeprefix(str(part))}"
+        if known is None:
+            raise
+        raise type(error)(error.errno, error.strerror, known) from error
 
 
 def _replaceable(path: Path) -> Path:

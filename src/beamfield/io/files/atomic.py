@@ -14,8 +14,9 @@ import platform
 import secrets
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 
@@ -23,6 +24,21 @@ from beamfield.errors import InvalidInputError
 
 if sys.platform != "win32":
     import fcntl
+
+_KEPT: ContextVar[frozenset[str]] = ContextVar("kept_files", default=frozenset())
+
+
+@contextmanager
+def kept_files(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
+    """Refuse meanwhile to replace any of these files by name: they are what a result is made from.
+
+    Files in a folder that is written have names of their own and are not compared.
+    """
+    before = _KEPT.set(frozenset(map(os.path.realpath, paths)))
+    try:
+        yield
+    finally:
+        _KEPT.reset(before)
 
 
 @contextmanager
@@ -99,8 +115,8 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise now what `atomic_file` would raise after the work is done; its folder and their parents need not exist.
 
-    InvalidInputError if `path` exists and is not a regular file; OSError if it is a folder, or nothing can be created
-    where it is to be.
+    InvalidInputError if `path` exists and is not a regular file, or is one of the `kept_files`; OSError if it is a
+    folder, or nothing can be created where it is to be.
     """
     _require_access(_replaceable(Path(path)).parent, Path(path))
 
@@ -203,6 +219,8 @@ def _replaceable(path: Path) -> Path:
         raise IsADirectoryError(21, "Is a directory", str(path))
     if target.exists() and not target.is_file():
         raise InvalidInputError(f"{path}: expected a regular file to replace, got a device, pipe or socket")
+    if str(target) in _KEPT.get():
+        raise InvalidInputError(f"{path}: this is read as input and would be replaced; write under another name")
     return target
 
 

@@ -16,12 +16,12 @@ MAP = "image: hall.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a map whose picture has its name, a text that is no log, and a link to the map."""
+    """A folder with a map whose picture has its name, texts that are nothing, and a link to the map."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "hall.yaml").write_text(MAP)
     Image.fromarray(np.full((20, 30), 254, np.uint8)).save(tmp_path / "hall.png")
     (tmp_path / "link.yaml").symlink_to("hall.yaml")
-    for name in ("drive.txt", "seen.csv", "tags.csv", "params.yaml"):
+    for name in ("drive.txt", "seen.csv", "tags.csv", "trajectory.tum", "map.yaml"):
         (tmp_path / name).write_text("never read")
     return tmp_path
 
@@ -35,6 +35,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["inspect", "hall.yaml", "--out", "./hall.png"], "hall.png"),
         (["map", "drive.txt", "--map", "hall.yaml", "--out", "link.yaml"], "link.yaml"),
         (["precompute", "hall.yaml", "--max-range", "5", "--out", "hall.png"], "hall.png"),
+        (["localize", "drive.txt", "--map", "hall.yaml", "--poses", "trajectory.tum", "--out", "."], "trajectory.tum"),
+        (["simulate", "--map", "map.yaml", "--out", "."], "map.yaml"),
         (["calibrate-landmarks", "seen.csv", "--landmarks", "tags.csv", "--out", "tags.csv"], "tags.csv"),
     ],
 )

@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.localization.lost_robot import find_lost_robot, lost_not_judged
     from beamfield.localization.trajectory_trust import time_gaps
 
-    check_folder_writable(arguments.out)
+    check_folder_writable(arguments.out, "trajectory.tum")
     options.check_output(arguments.animation, "animation", ".gif")
     check_recordings(arguments)
     with options.progress(arguments) as progress:

@@ -30,9 +30,9 @@ _KEPT: ContextVar[frozenset[str]] = ContextVar("kept_files", default=frozenset()
 
 @contextmanager
 def kept_files(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
-    """Refuse meanwhile to replace any of these files by name: they are what a result is made from.
+    """Refuse meanwhile to replace any of these files: they are what a result is made from.
 
-    Files in a folder that is written have names of their own and are not compared.
+    In a folder that is written only the names are compared that `check_folder_writable` is told.
     """
     before = _KEPT.set(frozenset(map(os.path.realpath, paths)))
     try:
@@ -121,12 +121,14 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     _require_access(_replaceable(Path(path)).parent, Path(path))
 
 
-def check_folder_writable(path: str | os.PathLike[str]) -> None:
+def check_folder_writable(path: str | os.PathLike[str], *names: str) -> None:
     """Raise now what `atomic_folder` would raise after the work is done; the folder and its parents need not exist.
 
     NotADirectoryError if it, or the nearest of its parents that exists, is not a folder; OSError if nothing can be
-    created where it is to be.
+    created where it is to be; InvalidInputError if one of these names in it is one of the `kept_files`.
     """
+    for name in names:
+        _replaceable(Path(path, name))
     _require_access(Path(os.path.realpath(path)), Path(path))
 
 

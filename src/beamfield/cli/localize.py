@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
-from beamfield.cli.parser import Parser, add_command, count, index, positive
+from beamfield.cli.parser import Parser, add_command, count, finite, index, positive
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, check_recordings, write_recordings
@@ -72,7 +72,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
     parser.add_argument("--animation", type=Path, metavar="FILE", help="write the particles over time as a .gif")
     start = parser.add_argument_group("start").add_mutually_exclusive_group()
-    start.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "DEG"),
+    start.add_argument("--start", type=finite, nargs=3, metavar=("X", "Y", "DEG"),
                        help="the first pose, within about 0.5 m and 15 degrees (default: the first reference pose; "
                        "without one --global)")  # fmt: skip
     start.add_argument("--global", action="store_true", dest="anywhere", help="it can be anywhere on the map")
@@ -179,7 +179,7 @@ def _start(
         x, y, degrees = arguments.start
         if not grid.look_up(grid.free, [x, y]).all():
             raise InvalidInputError(
-                f"--start: {x:g} {y:g} is not in a free cell of {arguments.map} (see beamfield inspect MAP -o map.png)"
+                f"--start: {x:g} {y:g} is not in a free cell of {arguments.map} (see beamfield inspect MAP -o see.png)"
             )
         return sensor, PoseBelief.around([x, y, math.radians(degrees)])
     if arguments.anywhere or not sensor.has_poses:

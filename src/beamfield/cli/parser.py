@@ -135,6 +135,17 @@ def _add_parser(commands: argparse._SubParsersAction[Parser], name: str, text: s
     return commands.add_parser(name, help=summary, description=about, epilog=f"{head}{examples}\n{UNITS}")
 
 
+def finite(text: str) -> float:
+    """Read a finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a finite number, got {text!r}")
+    return value
+
+
 def positive(text: str) -> float:
     """Read a finite number above 0."""
     return _number(text, float, lambda value: 0.0 < value < math.inf, "a number > 0")

@@ -61,3 +61,14 @@ def test_the_picture_of_a_new_map_is_none_of_an_old_one(place, capsys):
 def test_inspect_does_not_propose_the_name_of_a_picture_that_is_there(capsys):
     assert main(["inspect", "hall.yaml"]) == 0
     assert "to see it, add --out hall_drawn.png" in capsys.readouterr().out
+
+
+def test_a_file_is_patched_with_what_was_read_from_it(place):
+    path = place / "nav2_params.yaml"
+    values = "laser_model_type: likelihood_field_prob, z_hit: 0.6, z_rand: 0.4, sigma_hit: 0.2, max_beams: 30"
+    path.write_text(f"amcl:\n  ros__parameters: {{{values}, laser_likelihood_max_dist: 2.0}}\n")
+    assert (
+        main(["translate", path.name, "--stack", "nav2", "--to", "nav2", "--max-range", "12", "--patch", path.name])
+        == 0
+    )
+    assert (place / "nav2_params.yaml.bak").exists()

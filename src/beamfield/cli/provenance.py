@@ -25,7 +25,7 @@ _WRITTEN = ("animation", "mcap", "npz", "out", "patch", "rerun")
 
 
 def input_files(arguments: argparse.Namespace) -> list[Path]:
-    """Return the files that a command is told to read, with the pictures of maps."""
+    """Return the files that a command is told to read, not to change, with the pictures of maps."""
     given = [value for name, value in vars(arguments).items() if name not in _WRITTEN]
     listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
     paths = [one for one in listed if isinstance(one, Path)]
@@ -35,7 +35,8 @@ def input_files(arguments: argparse.Namespace) -> list[Path]:
 
             with suppress(BeamfieldError, OSError):  # no map, or one whose faults are told where it is read
                 paths.append(image_path(path))
-    return paths
+    patched = getattr(arguments, "patch", None)
+    return [path for path in paths if patched is None or os.path.realpath(path) != os.path.realpath(patched)]
 
 
 def file_name(path: str | Path) -> str:

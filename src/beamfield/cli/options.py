@@ -64,8 +64,6 @@ def start_of(arguments: argparse.Namespace) -> tuple[float, float, float] | None
     if arguments.start is None:
         return None
     x, y, degrees = arguments.start
-    if not all(map(math.isfinite, arguments.start)):
-        raise InvalidInputError("--start: expected finite numbers")
     return x, y, math.radians(degrees)
 
 

@@ -357,7 +357,7 @@ def test_what_cannot_be_fitted_is_refused_with_what_helps(change: dict, message:
     ("more", "message"),
     [
         (("--start", "500", "0", "0"), r"--start: \(500 m, 0 m\) lies off the map"),
-        (("--start", "nan", "0", "0"), "--start: expected finite numbers"),
+        (("--start", "nan", "0", "0"), "--start: expected a finite number, got 'nan'"),
         (("--start", "1", "1", "0", "--poses", "x.tum"), "--start: is for poses that are fitted to a map"),
     ],
 )

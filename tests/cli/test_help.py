@@ -150,11 +150,29 @@ def test_help_and_the_list_of_figures_load_no_numerical_library():
         (["check", "run.log", "--map", "m", "--max-range", "abc"], "--max-range: expected a number > 0, got 'abc'."),
         (["map", "run.log", "--hit", "abc"], "--hit: expected a number, got 'abc'."),
         (["map", "run.log", "--mode", "rwa"], "--mode: expected one of trinary, raw, got 'rwa'; did you mean raw?"),
+        (
+            ["trajectory", "run.log", "--map", "m", "--start", "nan", "0", "0"],
+            "--start: expected a finite number, got 'nan'.",
+        ),
+        (
+            ["localize", "run.log", "--map", "m", "--start", "0", "0", "inf"],
+            "--start: expected a finite number, got 'inf'.",
+        ),
+        (["map", "run.log", "--mount", "a", "0", "0"], "--mount: expected a finite number, got 'a'."),
         (["map", "run.log", "--mount", "1", "2"], "--mount: expected 3 arguments."),
         (["map", "run.log", "map.yaml"], "not understood: map.yaml."),
         (["--json", "map", "run.log"], "--json: options go after the command. See beamfield --help"),
         (["-q", "map", "run.log"], "-q: options go after the command. See beamfield --help"),
         (["fleet", "--out", "x", "scan", "."], "--out: options go after the command. See beamfield fleet --help"),
+        (
+            ["map", "s3://key:secret@store/run.log"],
+            "LOG: expected a path on this machine, got the address 's3://store/run.log'",
+        ),
+        (
+            ["map", "run.log", "--out", "s3://store/map.yaml"],
+            "-o/--out: expected a path on this machine, got the address",
+        ),
+        (["figures", "--out", "s3://store/pictures"], "-o/--out: expected a path on this machine, got the address"),
         (["map", "run.log", "--mask", "-5:5"], "--mask: a value that begins with - needs =, as in --mask=-5:5."),
         (
             ["localize", "run.log", "--map", "m", "-o", "x.tum"],

@@ -225,7 +225,14 @@ def test_a_field_from_a_beam_model_says_what_it_leaves_out(folder, tmp_path, cap
     path = tmp_path / "beam_model.yaml"
     path.write_text(beam_model_text(replace(truth, range_offset=0.03), drive.finder))
     assert run(folder, "--particles", "300", "--params", str(path)) == 0
-    assert "beam_model.yaml has range_offset 0.03, which a likelihood field cannot have" in capsys.readouterr().err
+    shown = capsys.readouterr()
+    assert "beam_model.yaml has range_offset 0.03, which a likelihood field cannot have" in shown.err
+    assert "beam_model.yaml is a beam model: a likelihood field runs with its z_hit, z_rand and sigma_hit" in shown.err
+    assert "filter: beamfield's own, likelihood field" in shown.out
+    assert run(folder, "--particles", "300", "--params", str(path), "--model", "beam") == 0
+    shown = capsys.readouterr()
+    assert "is a beam model" not in shown.err
+    assert "filter: beamfield's own, beam model" in shown.out
 
 
 @pytest.mark.usefixtures("undrawn")

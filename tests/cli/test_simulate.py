@@ -183,7 +183,7 @@ def test_files_of_the_same_name_are_replaced_and_others_stay(tmp_path: Path) -> 
         (("--width", "3"), "building: expected 26 x 20"),
         (("--robot-radius", "3"), r"no free place for a robot of radius 3 m"),
         (("--dependence-time", "-1"), "--dependence-time: expected a number >= 0"),
-        (("--mount", "inf", "0", "0"), "mount: expected finite"),
+        (("--mount", "inf", "0", "0"), "--mount: expected a finite number"),
     ],
 )
 def test_impossible_options_are_refused_and_nothing_is_written(

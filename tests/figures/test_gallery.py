@@ -15,13 +15,14 @@ from matplotlib.figure import Figure
 from beamfield.errors import InvalidInputError
 from beamfield.figures import scan_figures
 from beamfield.figures.beam_model_figures import _groups_at_one_range
+from beamfield.figures.field_figures import map_field_figure
 from beamfield.figures.gallery import FIGURES, chosen_figures, gallery_page, save_figure
-from beamfield.figures.likelihood_over_map import draw_likelihood_map
+from beamfield.figures.likelihood_over_map import draw_likelihood_map, likelihood_figure
 from beamfield.figures.sonar_figures import RIGHT, kinds_of, sonar_readings, telling_readings
 from beamfield.figures.world import FigureWorld, simulated_world, world_of_log
 from beamfield.localization.likelihood_map import LikelihoodMap
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import ScanLog, SensorLog
+from beamfield.sensors import RangeFinder, Scan, ScanLog, SensorLog
 from beamfield.simulation.sonar import sonar_ring
 
 
@@ -133,6 +134,26 @@ def test_a_map_of_likelihoods_shows_differences_however_small_they_are(spread):
     assert image.norm.vmin == pytest.approx(-min(spread / 2.0, 30.0), rel=0.01)
 
 
+@pytest.mark.parametrize("shape", [(90, 50), (79, 151)])
+def test_no_text_leaves_the_picture_of_a_tall_or_a_wide_map(shape):
+    corner = np.array([4.0, 31.0, 0.0])
+    grid = OccupancyGrid(np.zeros(shape), 0.5, corner)
+    values = -np.linspace(0.0, 300.0, grid.probability.size).reshape(shape)
+    everywhere, headings = np.ones(shape, np.bool_), np.zeros(shape, np.int16)
+    result = LikelihoodMap(values, everywhere, headings, np.zeros(1), 0.5, corner)
+    scan = Scan([1.9, 16.0, 1.9], RangeFinder.from_bearings([-1.6, 0.0, 1.6], max_range=40.0))
+    place = np.array([34.4, 40.4, 3.04])
+    pictures = {
+        "6.7": likelihood_figure(scan, grid, result, place, model_name="beam model, 12 beams"),
+        "6.10": map_field_figure(SimpleNamespace(grid=grid, log=scan)),
+    }
+    for number, figure in pictures.items():
+        figure.draw_without_rendering()
+        low, high = figure.get_tightbbox().get_points()
+        assert (low > -0.02).all(), number
+        assert (high < figure.get_size_inches() + 0.02).all(), number
+
+
 def test_the_beam_of_figure_6_9_passes_three_obstacles(drawn):
     left = all_axes(drawn("6.9"))[0]
     assert [text.get_text() for text in left.texts] == ["$o_1$", "$o_2$", "$o_3$"]
@@ -161,8 +182,15 @@ def test_a_log_of_ones_own_is_shown_with_all_its_sensors(world):
     assert "(c) 24 sonars" in [ax.get_title(loc="left") for ax in all_axes(FIGURES["6.1"].draw(cones))]
     chosen = world_of_log(log, world.grid, sensor="laser", index=7)
     assert chosen.index == chosen.open_index == 7
-    for number in ("6.8", "6.9", "6.11", "6.12"):
+    for number in ("6.8", "6.9", "6.11"):
         assert all_axes(FIGURES[number].draw(chosen))
+    poses = chosen.log.poses.copy()
+    poses[3] = np.nan
+    lost = replace(chosen, sensors={"laser": replace(chosen.log, poses=poses)})
+    for shown, count in ((chosen, 8), (lost, 7)):
+        assert f"(a) local map from {count} scans" in [
+            ax.get_title(loc="left") for ax in all_axes(FIGURES["6.12"].draw(shown))
+        ]
 
 
 def test_the_cones_of_figure_6_1_end_at_the_nearest_thing_or_are_marked(world):

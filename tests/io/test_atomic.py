@@ -362,11 +362,30 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
     assert names(tmp_path) == ["out"]
 
 
-def test_a_full_disk_names_the_users_file(tmp_path):
+@pytest.mark.parametrize("written", [None, "map.pgm"])
+def test_a_full_disk_names_the_users_file(tmp_path, written):
     with (
         pytest.raises(OSError, match="No space left on device") as caught,
-        atomic_file(tmp_path / "map.pgm"),
+        atomic_file(tmp_path / "map.pgm") as part,
     ):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise OSError(errno.ENOSPC, "No space left on device", written and str(part))
     assert caught.value.filename == str(tmp_path / "map.pgm")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("written", [None, "figure.svg"])
+def test_a_full_disk_names_the_users_folder(tmp_path, written):
+    with (
+        pytest.raises(OSError, match="No space left on device") as caught,
+        atomic_folder(tmp_path / "out") as part,
+    ):
+        raise OSError(errno.ENOSPC, "No space left on device", written and str(part / written))
+    assert caught.value.filename == str(tmp_path / "out" / (written or ""))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("number", "name"), [(errno.EIO, None), (errno.ENOSPC, "elsewhere.log")])
+def test_an_error_of_another_file_is_left_as_it_is(tmp_path, number, name):
+    with pytest.raises(OSError, match=os.strerror(number)) as caught, atomic_folder(tmp_path / "out"):
+        raise OSError(number, os.strerror(number), name)
+    assert caught.value.filename == name

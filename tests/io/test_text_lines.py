@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import os
+from pathlib import Path
 
 import pytest
 
@@ -28,6 +30,17 @@ def test_a_byte_order_mark_is_no_text(tmp_path):
 def test_missing_file_is_the_file_systems_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         list(read_lines(tmp_path / "nothing.log"))
+
+
+@pytest.mark.skipif(not Path("/dev/fd").is_dir(), reason="no names for open files")
+def test_a_pipe_is_refused_by_its_name():
+    reading, writing = os.pipe()
+    os.close(writing)
+    try:
+        with pytest.raises(FormatError, match=rf"^/dev/fd/{reading}: expected a file, got a pipe"):
+            list(read_lines(f"/dev/fd/{reading}"))
+    finally:
+        os.close(reading)
 
 
 def test_binary_junk_is_refused_with_its_bytes(tmp_path):

@@ -282,7 +282,17 @@ def test_heavy_tails_are_found(rng):
     log = simulate(replace(RANGE_ONLY, spurious_rate=0.0), rng)
     log = edited(log, lambda _, z: replace(z, ranges=z.ranges + 0.1 * rng.standard_t(2.0, len(z))))
     result = learn(log, fit_spurious=False)
-    assert finding(result, "range-heavy-tails").values["beyond"] > 0.02
+    tails = finding(result, "range-heavy-tails")
+    assert tails.values["beyond"] > 0.02
+    # Only features without ids have the larger spurious_rate that the finding advises.
+    rates = [replace(result.parameters, spurious_rate=rate, max_range=14.0) for rate in (0.0, 0.3)]
+    models = [LandmarkModel(MAP, noise, correspondence="sum", mount=MOUNT) for noise in rates]
+    seen, pose = log.detections[0], log.poses[0]
+    believed = [model.log_likelihood(seen, pose) for model in models]
+    doubted = [model.log_likelihood(seen.without_ids(), pose) for model in models]
+    assert believed[0] == believed[1]
+    assert doubted[0] != doubted[1]
+    assert tails.do.endswith("and features without ids: it believes the ids that they carry.")
 
 
 def test_a_landmark_in_the_wrong_place_and_noise_that_grows_are_found(rng):
@@ -298,6 +308,40 @@ def test_a_landmark_in_the_wrong_place_and_noise_that_grows_are_found(rng):
     by_landmark = finding(result, "range-bias-by-landmark")
     assert by_landmark.values["id"] == 30.0
     assert by_landmark.values["worst"] > 0.1
+
+
+def test_lengths_in_other_units_and_places_of_another_frame_are_not_to_be_used(rng):
+    log = simulate(BOTH, rng)
+    assert not {"many-spurious", "bearing-unrelated"} & names_of(learn(log))
+    in_cm = edited(log, lambda _, z: replace(z, ranges=100.0 * z.ranges))
+    scale = finding(learn(in_cm), "range-scale")
+    assert scale.severity == "error"
+    assert scale.do == "Check that ranges, poses and landmarks are all in metres and of one frame."
+    in_mm = finding(learn(replace(log, poses=log.poses * [1000.0, 1000.0, 1.0])), "many-spurious")
+    assert in_mm.severity == "error"
+    assert in_mm.text == f"{in_mm.values['rate']:.0%} of the sightings do not fit the landmark that they name."
+    swapped = finding(learn(replace(log, poses=log.poses[:, [1, 0, 2]])), "many-spurious")
+    assert swapped.severity == "warning"
+    assert "that x and y are not swapped" in swapped.do
+
+
+def test_spurious_features_of_no_landmark_name_none(rng):
+    named_none = edited(simulate(BOTH, rng), lambda i, z: replace(z, ids=z.ids if i % 3 else np.full(len(z), SPURIOUS)))
+    assert "many-spurious" not in names_of(learn(named_none))
+
+
+def test_bearings_of_a_narrow_camera_that_count_clockwise_are_unrelated(rng):
+    """Turned the wrong way round they are off by less than a radian, but by more than they spread."""
+
+    def ahead(_, z, turn=1.0):
+        seen = np.abs(z.bearings) < 0.5
+        return Detections(z.ranges[seen], turn * z.bearings[seen], ids=z.ids[seen], stamp=z.stamp)
+
+    log = simulate(replace(BOTH, spurious_rate=0.0, sigma_bearing=0.1), rng)
+    assert "bearing-unrelated" not in names_of(learn(edited(log, ahead)))
+    turned = learn(edited(log, lambda i, z: ahead(i, z, -1.0)))
+    assert 0.4 < turned.parameters.sigma_bearing < 0.9
+    assert finding(turned, "bearing-unrelated").severity == "error"
 
 
 def test_errors_longer_than_a_block_are_found(rng):

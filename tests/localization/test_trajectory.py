@@ -291,8 +291,11 @@ def test_impossible_input_is_refused(drive: SensorLog, office: OccupancyGrid):
     with pytest.raises(TooLittleDataError, match=r"moves 0\.00 m and turns 0 degrees"):
         fit_trajectory(replace(some, odometry=np.zeros((20, 3))), office)
     standing = replace(some, odometry=np.full((20, 3), np.nan), ranges=np.tile(some.ranges[0], (20, 1)))
-    with pytest.raises(TooLittleDataError, match=r"by its scans \(the log has no odometry\), the robot moves 0"):
-        fit_trajectory(standing, office)
+    said = r"by its scans \(the log has no odometry\), the robot moves 0.* such a log needs odometry"
+    with pytest.raises(TooLittleDataError, match=f"{said}; if its poses are the odometry, read it with lone_poses="):
+        fit_trajectory(standing.with_poses(np.zeros((20, 3))), office)
+    with pytest.raises(TooLittleDataError, match=f"{said}$"):
+        fit_trajectory(standing.with_poses(np.full((20, 3), np.nan)), office)
     with pytest.raises(TooLittleDataError, match="too few scans: 2;"):
         fit_trajectory(some.select([0, 1]), office)
     with pytest.raises(TooLittleDataError, match="readings"):

@@ -61,7 +61,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     source = facts["source"]
     # What follows the last point of a folder's name is no ending.
     stem = source if arguments.log.is_dir() else Path(source.removesuffix(".gz")).stem
-    hint = f"to see it, add --out {shlex.quote(f'{stem}.png')}"
+    # A map's own picture may have this name.
+    picture = f"{stem}_drawn.png" if Path(f"{stem}.png").exists() else f"{stem}.png"
+    hint = f"to see it, add --out {shlex.quote(picture)}"
     return Outcome(hint, text, facts, brief=text.splitlines()[0])
 
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
-from beamfield.cli.parser import Parser, add_command, count, index, positive
+from beamfield.cli.parser import Parser, add_command, count, finite, index, positive
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, check_recordings, write_recordings
@@ -72,7 +72,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
     parser.add_argument("--animation", type=Path, metavar="FILE", help="write the particles over time as a .gif")
     start = parser.add_argument_group("start").add_mutually_exclusive_group()
-    start.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "DEG"),
+    start.add_argument("--start", type=finite, nargs=3, metavar=("X", "Y", "DEG"),
                        help="the first pose, within about 0.5 m and 15 degrees (default: the first reference pose; "
                        "without one --global)")  # fmt: skip
     start.add_argument("--global", action="store_true", dest="anywhere", help="it can be anywhere on the map")
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.localization.lost_robot import find_lost_robot, lost_not_judged
     from beamfield.localization.trajectory_trust import time_gaps
 
-    check_folder_writable(arguments.out)
+    check_folder_writable(arguments.out, "trajectory.tum")
     options.check_output(arguments.animation, "animation", ".gif")
     check_recordings(arguments)
     with options.progress(arguments) as progress:
@@ -181,7 +181,7 @@ def _start(
         x, y, degrees = arguments.start
         if not grid.look_up(grid.free, [x, y]).all():
             raise InvalidInputError(
-                f"--start: {x:g} {y:g} is not in a free cell of {arguments.map} (see beamfield inspect MAP -o map.png)"
+                f"--start: {x:g} {y:g} is not in a free cell of {arguments.map} (see beamfield inspect MAP -o see.png)"
             )
         return sensor, PoseBelief.around([x, y, math.radians(degrees)])
     if arguments.anywhere or not sensor.has_poses:
@@ -214,7 +214,8 @@ def _filter(
 
         return localizer.run(log, start, rng, watch=watch)
 
-    return run, "beamfield's own", notes
+    name = "beam model" if arguments.model == "beam" else "likelihood field"
+    return run, f"beamfield's own, {name}", notes
 
 
 def _localizer(model: Any, grid: OccupancyGrid, arguments: argparse.Namespace) -> ScanLocalizer:
@@ -256,7 +257,11 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
         return BeamModel(grid, parameters, caster=table, **how), []
     notes: list[str] = []
     if not isinstance(saved, SavedLikelihoodField):
-        notes = inputs.left_out_of_a_field(parameters, arguments.params)
+        if saved is not None:
+            notes = inputs.left_out_of_a_field(parameters, arguments.params)
+            if arguments.model is None:
+                numbers = "a likelihood field runs with its z_hit, z_rand and sigma_hit"
+                notes.insert(0, f"{arguments.params} is a beam model: {numbers}; --model beam runs the model itself")
         parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=EXTENSIONS)
     return LikelihoodFieldModel(hollowed(grid), parameters, **how), notes
 

@@ -95,7 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parsed.noticed = []
     try:
         limited = nullcontext() if threads is None else set_threads(threads)
-        with _unpacking_limit(parsed), limited, _other_processes(parsed) if is_ours else nullcontext():
+        others = _other_processes(parsed) if is_ours else nullcontext()
+        with _unpacking_limit(parsed), _kept_inputs(parsed), limited, others:
             outcome = parsed.run(parsed)
         show(outcome, parsed)
         sys.stdout.flush()
@@ -125,6 +126,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _other_processes(parsed: argparse.Namespace) -> Iterator[None]:
     with parallel_runs(), compile_ahead() if parsed.command in ("calibrate", "demo") else nullcontext():
         yield
+
+
+def _kept_inputs(parsed: argparse.Namespace) -> AbstractContextManager[None]:
+    from beamfield.cli.provenance import input_files
+    from beamfield.io.files.atomic import kept_files
+
+    return kept_files(input_files(parsed))
 
 
 def _unpacking_limit(parsed: argparse.Namespace) -> AbstractContextManager[None]:

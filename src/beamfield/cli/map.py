@@ -95,7 +95,8 @@ def _check(arguments: argparse.Namespace) -> None:
 
     if arguments.out.suffix not in (".yaml", ".yml"):
         raise InvalidInputError(f"--out: expected a name ending in .yaml or .yml, got {arguments.out.name!r}")
-    check_writable(arguments.out)
+    for written in (arguments.out, arguments.out.with_suffix(".pgm")):
+        check_writable(written)
     if arguments.odometry and arguments.poses is not None:
         raise InvalidInputError("--odometry: poses come from --poses already; give one of the two")
     if arguments.odometry and arguments.map is not None:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beamfield.cli.parser import count, index, not_negative, positive
+from beamfield.cli.parser import count, finite, index, not_negative, positive
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import InvalidInputError
 
@@ -56,7 +56,7 @@ def add_poses(parser: argparse.ArgumentParser, *, fitted: bool = False) -> None:
 def add_start(parser: argparse._ActionsContainer, when: str = "") -> None:
     """Add --start."""
     said = f"{when}where the log begins, to about 2 m and 45 degrees (default: searched)"
-    parser.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "DEG"), help=said)
+    parser.add_argument("--start", type=finite, nargs=3, metavar=("X", "Y", "DEG"), help=said)
 
 
 def start_of(arguments: argparse.Namespace) -> tuple[float, float, float] | None:
@@ -64,8 +64,6 @@ def start_of(arguments: argparse.Namespace) -> tuple[float, float, float] | None
     if arguments.start is None:
         return None
     x, y, degrees = arguments.start
-    if not all(map(math.isfinite, arguments.start)):
-        raise InvalidInputError("--start: expected finite numbers")
     return x, y, math.radians(degrees)
 
 
@@ -102,7 +100,7 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
 
 def add_mount(parser: argparse._ActionsContainer, what: str, default: tuple[float, ...] | None = None) -> None:
     """Add --mount."""
-    parser.add_argument("--mount", type=float, nargs=3, default=default, metavar=("X", "Y", "YAW"),
+    parser.add_argument("--mount", type=finite, nargs=3, default=default, metavar=("X", "Y", "YAW"),
                         help=f"the sensor's pose on the robot, metres and degrees{what}")  # fmt: skip
 
 

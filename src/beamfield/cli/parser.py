@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from itertools import takewhile, zip_longest
+from pathlib import Path
 from typing import Any, TypeVar
 
 from beamfield.cli.outcome import Outcome
@@ -15,6 +16,7 @@ from beamfield.cli.terminal import complain
 from beamfield.printable import printable
 
 _T = TypeVar("_T", int, float)
+ADDRESS = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]+://")
 UNITS = "M stands for metres, S for seconds, DEG for degrees, HZ for 1/s."
 # What argparse says in the words of a programmer.
 _PLAIN = {
@@ -67,6 +69,16 @@ class Parser(argparse.ArgumentParser):
         end = "" if message.endswith("?") else "."
         complain(f"beamfield: error: {message.removeprefix('argument ')}{end} See {self.prog} --help")
         raise SystemExit(2)
+
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        value = super()._get_value(action, arg_string)
+        # As a path, s3://b/x is in a folder "s3:" here: results would be written there and seem to be in the store.
+        if isinstance(value, Path) and ADDRESS.match(arg_string):
+            from beamfield.fleet.folder import without_secrets
+
+            got = without_secrets(arg_string)
+            raise argparse.ArgumentError(action, f"expected a path on this machine, got the address {got!r}")
+        return value
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:
@@ -121,6 +133,17 @@ def _add_parser(commands: argparse._SubParsersAction[Parser], name: str, text: s
     about, head, examples = rest.partition("for example:")
     summary = summary[0].lower() + summary[1:].rstrip(".")
     return commands.add_parser(name, help=summary, description=about, epilog=f"{head}{examples}\n{UNITS}")
+
+
+def finite(text: str) -> float:
+    """Read a finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a finite number, got {text!r}")
+    return value
 
 
 def positive(text: str) -> float:

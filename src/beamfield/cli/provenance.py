@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from beamfield import __version__
+from beamfield.errors import BeamfieldError
 from beamfield.io.files.content_hash import file_hash
 from beamfield.printable import printable
 
@@ -16,6 +18,25 @@ from beamfield.printable import printable
 _NO_OPTIONS = (
     "animation", "command", "json", "mcap", "noticed", "out", "quiet", "rerun", "run", "seed", "threads", "verbose",
 )  # fmt: skip
+
+
+# Given to be written.
+_WRITTEN = ("animation", "mcap", "npz", "out", "patch", "rerun")
+
+
+def input_files(arguments: argparse.Namespace) -> list[Path]:
+    """Return the files that a command is told to read, not to change, with the pictures of maps."""
+    given = [value for name, value in vars(arguments).items() if name not in _WRITTEN]
+    listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
+    paths = [one for one in listed if isinstance(one, Path)]
+    for path in list(paths):
+        if path.suffix in (".yaml", ".yml"):
+            from beamfield.io.maps.ros_map import image_path
+
+            with suppress(BeamfieldError, OSError):  # no map, or one whose faults are told where it is read
+                paths.append(image_path(path))
+    patched = getattr(arguments, "patch", None)
+    return [path for path in paths if patched is None or os.path.realpath(path) != os.path.realpath(patched)]
 
 
 def file_name(path: str | Path) -> str:

@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
     from beamfield.simulation.trajectory import DriveOptions
 
-    check_folder_writable(arguments.out)
+    check_folder_writable(arguments.out, MAP, Path(MAP).with_suffix(".pgm").name)
     _require_options_that_matter(arguments)
     with options.progress(arguments) as progress:
         progress("making the map", 0, 1)

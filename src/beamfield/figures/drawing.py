@@ -34,7 +34,7 @@ def frame(ax: Axes, low: ArrayLike, high: ArrayLike, title: str, *, x: str = "x 
     """Show what lies between two corners (2,), in metres, under a title."""
     (left, bottom), (right, top) = np.asarray(low), np.asarray(high)
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    style(ax, title=title, x=x, y=y, grid="none")
+    style(ax, title=title, x=x, y=y, grid="none", wrap=True)
 
 
 def legend_under_title(ax: Axes) -> None:
@@ -42,7 +42,8 @@ def legend_under_title(ax: Axes) -> None:
     if not ax.get_legend_handles_labels()[0]:
         return
     legend_above(ax)
-    ax.set_title(ax.get_title("left"), loc="left", y=1.0, pad=20.0, fontsize=10, color="#111111", fontweight="bold")
+    ax.set_title(ax.get_title("left"), loc="left", y=1.0, pad=20.0, fontsize=10, color="#111111", fontweight="bold",
+                 wrap=True)  # fmt: skip
 
 
 def known_limits(grid: OccupancyGrid, margin: float = 0.5) -> Limits:

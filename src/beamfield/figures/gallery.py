@@ -122,7 +122,7 @@ _ALL = (
     ),
     ChapterFigure(
         "6.12", "6.5", "scan_figures.local_map_figure", "A local map for map matching",
-        "(a) A local map from 10 scans with the last of them: free white, occupied dark, "
+        "(a) A local map from at most 10 scans with the last of them: free white, occupied dark, "
         "unknown grey. (b) Its correlation with the global map, moved around the reference pose without turning.",
     ),
     ChapterFigure(

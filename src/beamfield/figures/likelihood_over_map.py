@@ -56,7 +56,15 @@ def likelihood_figure(
         left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
     draw_scan_in_map(scan, grid, reference, left, title="(a) the scan at its reference pose")
     draw_likelihood_map(result, grid, right, reference=reference, title=f"(b) {title}")
+    _lay_out(figure)
     return figure
+
+
+def _lay_out(figure: Figure) -> None:
+    """Place the axes before drawing does: from where they begin, its own pass may leave a colour bar half outside."""
+    if (engine := figure.get_layout_engine()) is not None:
+        for _ in range(2):
+            engine.execute(figure)
 
 
 def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes, *, title: str) -> None:

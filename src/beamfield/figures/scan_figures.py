@@ -84,7 +84,8 @@ def local_map_figure(world: FigureWorld) -> Figure:
     draw_scan(scan, np.zeros(3), left, label="last scan", color=SCAN_COLOUR, size=5.0)
     low, high = scan_limits(scan, np.zeros(3), 1.0)
     mark_robot(np.zeros(3), left, size=0.03 * float((high - low).max()), color=ROBOT_COLOUR, label="robot")
-    title = f"(a) local map from {min(LOCAL_SCANS, index + 1)} scans"
+    posed = np.isfinite(world.log.poses[max(0, index + 1 - LOCAL_SCANS) : index + 1]).all(axis=1).sum()
+    title = f"(a) local map from {posed} {'scan' if posed == 1 else 'scans'}"
     frame(left, low, high, title, x="x in the robot's frame [m]")
     left.set_facecolor("#E1E5EA")
     legend(left, loc="best")

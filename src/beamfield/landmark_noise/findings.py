@@ -29,8 +29,13 @@ NOTABLE_CORRELATION = 0.5
 FEWEST_BLOCKS, FEWEST_SIGHTINGS = 4, 10
 UNITS = {"range": "m", "bearing": "rad"}
 # A direction known to a radian tells next to nothing. Headings in degrees and swapped axes made 1.7 rad and more of the
-# 0.02 rad of MRCLAM's cameras.
-UNRELATED_BEARING = 1.0
+# 0.02 rad of MRCLAM's cameras. Of a camera that sees 60 degrees, turned the wrong way round, they made 0.6: more than
+# the bearings themselves spread, of which a sensor's noise is but a part.
+UNRELATED_BEARING, NOTABLE_BEARING, NOTABLE_SPREAD = 1.0, 0.2, 1.2
+# Up to 1% of the sightings of MRCLAM, Roh and Plaza are spurious, with swapped axes or poses in millimetres 30 to 100%.
+NOTABLE_SPURIOUS, MOSTLY_SPURIOUS = 0.2, 0.5
+# No sensor is off by such a factor: one of the two lengths is not in metres, or the ranges are of something else.
+WRONG_SCALE = 2.0
 
 
 def noise_findings(
@@ -44,8 +49,9 @@ def noise_findings(
     """Name what the parameters alone do not say.
 
     The names: ``not-converged``, ``no-intervals``, ``few-blocks``, ``features-left-out``, ``range-scale``,
-    ``no-spurious``, ``bearing-unrelated``, and for ranges and bearings ``range-bias``, ``range-exact``,
-    ``range-blocks-depend``, ``range-heavy-tails``, ``range-sigma-by-distance``, ``range-bias-by-landmark``.
+    ``no-spurious``, ``many-spurious``, ``bearing-unrelated``, and for ranges and bearings ``range-bias``,
+    ``range-exact``, ``range-blocks-depend``, ``range-heavy-tails``, ``range-sigma-by-distance``,
+    ``range-bias-by-landmark``.
 
     The ids (N,) are of the map's landmarks; residuals (n,) are of range and bearing, bias and scale taken out;
     `of_landmark` (n,) is how probably each sighting is of its landmark.
@@ -64,7 +70,7 @@ def noise_findings(
         used = ~np.isnan(e) & (of_landmark > 0.0)
         if not used.any():
             continue
-        if what == "bearing" and sigma > UNRELATED_BEARING:
+        if what == "bearing" and _is_unrelated(sigma, table.bearings[used], of_landmark[used]):
             yield Finding(
                 "bearing-unrelated",
                 "error",
@@ -91,6 +97,15 @@ def noise_findings(
         yield from _by_distance(what, table.expected_ranges[used], e[used], of_landmark[used])
         yield from _by_landmark(what, table.subset(used), ids, e[used], of_landmark[used], sigma)
     yield from _spurious_finding(intervals, of_landmark)
+    yield from _many_spurious(of_landmark[table.landmarks >= 0])
+
+
+def _is_unrelated(sigma: float, bearings: FloatArray, w: FloatArray) -> bool:
+    """Whether bearings lie farther from the landmarks' directions than from their own mean direction."""
+    if sigma <= NOTABLE_BEARING or sigma > UNRELATED_BEARING:
+        return sigma > UNRELATED_BEARING
+    length = math.hypot(float(w @ np.cos(bearings)), float(w @ np.sin(bearings))) / float(w.sum())
+    return length > 0.0 and sigma > NOTABLE_SPREAD * math.sqrt(-2.0 * math.log(min(length, 1.0)))
 
 
 def _climb_finding(climb: NoiseClimb) -> Iterator[Finding]:
@@ -154,13 +169,15 @@ def _scale_finding(theta: NoiseTheta, intervals: NoiseIntervals) -> Iterator[Fin
     low, high = intervals.intervals.get("range_scale", (math.nan, math.nan))
     if not (low > 1.0 or high < 1.0):
         return
+    wrong = not 1.0 / WRONG_SCALE <= theta.range_scale <= WRONG_SCALE
+    correct = "Correct the sensor's scale (speed of light or sound, clock, focal length) or keep range_scale."
     yield Finding(
         "range-scale",
-        "warning",
+        "error" if wrong else "warning",
         f"Measured ranges are {theta.range_scale:.4f} [{low:.4f}, {high:.4f}] times the true ones.",
         {"range_scale": theta.range_scale, "low": low, "high": high},
         why="The error grows with the distance, which no sigma or bias makes up for.",
-        do="Correct the sensor's scale (speed of light or sound, clock, focal length) or keep range_scale.",
+        do="Check that ranges, poses and landmarks are all in metres and of one frame." if wrong else correct,
     )
 
 
@@ -171,6 +188,20 @@ def _spurious_finding(intervals: NoiseIntervals, of_landmark: FloatArray) -> Ite
     upper = intervals.intervals["spurious_rate"][1]
     text = f"No sighting looks spurious: the rate is below {upper:.2g} ({LEVEL:.0%}), not 0."
     yield Finding("no-spurious", "info", text, {"expected": expected, "upper": upper})
+
+
+def _many_spurious(of_landmark: FloatArray) -> Iterator[Finding]:
+    rate = float(1.0 - of_landmark.mean()) if len(of_landmark) else 0.0
+    if rate <= NOTABLE_SPURIOUS:
+        return
+    yield Finding(
+        "many-spurious",
+        "error" if rate > MOSTLY_SPURIOUS else "warning",
+        f"{rate:.0%} of the sightings do not fit the landmark that they name.",
+        {"rate": rate},
+        why="The noise is that of the others alone, which may fit by chance.",
+        do="Check the ids and the mount, that x and y are not swapped, and that all is in metres and of one frame.",
+    )
 
 
 def _dependence(what: str, e: FloatArray, w: FloatArray, blocks: NDArray[np.int64]) -> Iterator[Finding]:
@@ -208,7 +239,7 @@ def _tails(what: str, e: FloatArray, w: FloatArray) -> Iterator[Finding]:
         f"{middle:.3g} {UNITS[what]}, where a normal has 0.3%: the tails are heavier.",
         {"beyond": beyond, "middle_deviation": middle},
         why=f"sigma_{what} is a compromise between most sightings and the few that are far off.",
-        do="Give a filter a larger spurious_rate.",
+        do="Give a filter a larger spurious_rate, and features without ids: it believes the ids that they carry.",
     )
 
 

@@ -275,7 +275,13 @@ def _check_moves(drive: Drive, log: SensorLog) -> None:
             f"by its {source}, the robot moves {np.hypot(*drive.steps[:, :2].T).sum():.2f} m and turns "
             f"{np.degrees(np.abs(drive.steps[:, 2]).sum()):.0f} degrees in all; a trajectory needs a drive"
             + ("" if dead is None else f". {dead.text} {dead.do}")
+            + ("" if log.has_odometry else _blind_scans(log))
         )
+
+
+def _blind_scans(log: SensorLog) -> str:
+    said = "; if its poses are the odometry, read it with lone_poses='odometry'" if log.has_poses else ""
+    return f". Scans of few beams or of cones do not tell how it moves: such a log needs odometry{said}"
 
 
 def _checked(log: SensorLog, grid: OccupancyGrid, start: ArrayLike | None) -> FloatArray | None:

@@ -34,7 +34,7 @@ class LandmarkParameters:
     confusion
         (t, t) P(type seen = column | type of the landmark = row); rows sum to 1.
     spurious_rate
-        Probability that a feature belongs to no landmark of the map (c = N + 1), in [0, 1).
+        Probability that a feature of unknown id belongs to no landmark of the map (c = N + 1), in [0, 1).
     max_range
         Features of no landmark have ranges uniform on [0, max_range], metres; needed where there are any
         and the sensor measures ranges.

@@ -35,7 +35,7 @@ def new_panel(width: float, height: float, *, above: float = 0.0) -> Figure:
     return Figure(figsize=(width, height), layout=TextRoom(above * LEGEND_LINE), facecolor="white", edgecolor="white")
 
 
-def new_axes(width: float, height: float, *, above: float = 0.0, **look: str) -> tuple[Figure, Axes]:
+def new_axes(width: float, height: float, *, above: float = 0.0, **look: Any) -> tuple[Figure, Axes]:
     """Return a new panel and its only axes in the report's look; the rest as for `new_panel` and `style`."""
     figure = new_panel(width, height, above=above)
     axes = figure.add_subplot()
@@ -43,8 +43,11 @@ def new_axes(width: float, height: float, *, above: float = 0.0, **look: str) ->
     return figure, axes
 
 
-def style(axes: Axes, *, title: str = "", x: str = "", y: str = "", grid: str = "both") -> None:
-    """Give axes the report's look; labels carry units, and the grid is "both", "x", "y" or "none"."""
+def style(axes: Axes, *, title: str = "", x: str = "", y: str = "", grid: str = "both", wrap: bool = False) -> None:
+    """Give axes the report's look; labels carry units, and the grid is "both", "x", "y" or "none".
+
+    A title that does not fit may wrap where the layout measures it (`new_figure`, not `new_panel`).
+    """
     axes.set_facecolor("white")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
@@ -57,7 +60,7 @@ def style(axes: Axes, *, title: str = "", x: str = "", y: str = "", grid: str = 
         axes.grid(True, axis=grid, color=GRID, linewidth=0.7, linestyle="-", alpha=1.0)  # type: ignore[arg-type]
     if title:
         # With y, matplotlib does not measure the axes to see whether something is in the title's way.
-        axes.set_title(title, fontsize=10, loc="left", color="#111111", fontweight="bold", y=1.0)
+        axes.set_title(title, fontsize=10, loc="left", color="#111111", fontweight="bold", y=1.0, wrap=wrap)
     axes.set_xlabel(x, fontsize=9, color="#222222")
     axes.set_ylabel(y, fontsize=9, color="#222222")
 

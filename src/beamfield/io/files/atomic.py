@@ -7,14 +7,16 @@ same target and gets the lock; where folders cannot be locked (Windows, some net
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import platform
 import secrets
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 
@@ -22,6 +24,21 @@ from beamfield.errors import InvalidInputError
 
 if sys.platform != "win32":
     import fcntl
+
+_KEPT: ContextVar[frozenset[str]] = ContextVar("kept_files", default=frozenset())
+
+
+@contextmanager
+def kept_files(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
+    """Refuse meanwhile to replace any of these files: they are what a result is made from.
+
+    In a folder that is written only the names are compared that `check_folder_writable` is told.
+    """
+    before = _KEPT.set(frozenset(map(os.path.realpath, paths)))
+    try:
+        yield
+    finally:
+        _KEPT.reset(before)
 
 
 @contextmanager
@@ -87,13 +104,8 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
     with _parents(targets), ExitStack() as stack:
         scratch = [stack.enter_context(scratch_folder(target.parent, target.name)) for target in targets]
         parts = [folder / target.name for folder, target in zip(scratch, targets, strict=True)]
-        try:
+        with _known_names(parts, targets):
             yield parts
-        except OSError as error:
-            # A full disk is known by its number alone: the file that was written is not named.
-            if error.errno is None or error.filename is not None:
-                raise
-            raise type(error)(error.errno, error.strerror, str(targets[0])) from error
         for target, part in zip(targets, parts, strict=True):
             if not part.is_file():
                 raise InvalidInputError(f"{target}: nothing was written to the temporary file {part.name!r}")
@@ -103,18 +115,20 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise now what `atomic_file` would raise after the work is done; its folder and their parents need not exist.
 
-    InvalidInputError if `path` exists and is not a regular file; OSError if it is a folder, or nothing can be created
-    where it is to be.
+    InvalidInputError if `path` exists and is not a regular file, or is one of the `kept_files`; OSError if it is a
+    folder, or nothing can be created where it is to be.
     """
     _require_access(_replaceable(Path(path)).parent, Path(path))
 
 
-def check_folder_writable(path: str | os.PathLike[str]) -> None:
+def check_folder_writable(path: str | os.PathLike[str], *names: str) -> None:
     """Raise now what `atomic_folder` would raise after the work is done; the folder and its parents need not exist.
 
     NotADirectoryError if it, or the nearest of its parents that exists, is not a folder; OSError if nothing can be
-    created where it is to be.
+    created where it is to be; InvalidInputError if one of these names in it is one of the `kept_files`.
     """
+    for name in names:
+        _replaceable(Path(path, name))
     _require_access(Path(os.path.realpath(path)), Path(path))
 
 
@@ -134,7 +148,8 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     with _parents([target]) as created, scratch_folder(place, target.name) as scratch:
         part = scratch / target.name
         part.mkdir()
-        yield part
+        with _known_names([part], [target]):
+            yield part
         files = sorted(file for file in part.rglob("*") if not file.is_dir())
         if target.exists() or not _rename_folder(part, files, target):
             goals = [target / file.relative_to(part) for file in files]
@@ -182,6 +197,23 @@ def remove_abandoned(parent: Path, start: str = ".") -> None:
                         os.close(lock)
 
 
+@contextmanager
+def _known_names(parts: Sequence[Path], targets: Sequence[Path]) -> Iterator[None]:
+    """Let errors name files that the user knows: a full disk names none, and scratch folders are gone by then."""
+    try:
+        yield
+    except OSError as error:
+        name, known = error.filename, None
+        if name is None and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            known = str(targets[0])
+        for part, target in zip(parts, targets, strict=True):
+            if isinstance(name, str) and (name == str(part) or name.startswith(f"{part}{os.sep}")):
+                known = f"{target}{name.removeprefix(str(part))}"
+        if known is None:
+            raise
+        raise type(error)(error.errno, error.strerror, known) from error
+
+
 def _replaceable(path: Path) -> Path:
     # A link stays a link: what it points to is replaced.
     target = Path(os.path.realpath(path))
@@ -189,6 +221,8 @@ def _replaceable(path: Path) -> Path:
         raise IsADirectoryError(21, "Is a directory", str(path))
     if target.exists() and not target.is_file():
         raise InvalidInputError(f"{path}: expected a regular file to replace, got a device, pipe or socket")
+    if str(target) in _KEPT.get():
+        raise InvalidInputError(f"{path}: this is read as input and would be replaced; write under another name")
     return target
 
 

@@ -29,10 +29,13 @@ def read_lines(path: str | Path) -> Iterator[tuple[int, str]]:
 
     The file may be compressed with gzip, whatever its name. The text is ASCII; other bytes pass as Latin-1. FormatError
     if a line has a NUL byte (the file is binary) or more than `MAX_LINE_BYTES`; if the gzip stream is damaged or ends
-    early, or holds more than `FREE_BYTES` and more than `MAX_EXPANSION` times the size of the file.
+    early, or holds more than `FREE_BYTES` and more than `MAX_EXPANSION` times the size of the file; or if it is a pipe,
+    which cannot be read twice.
     """
     source = Path(path)
     with source.open("rb") as file:
+        if not file.seekable():
+            raise FormatError(source, "expected a file, got a pipe: write what comes from it into a file first")
         compressed = file.read(2) == b"\x1f\x8b"
         file.seek(0)
         if not compressed:

@@ -34,7 +34,8 @@ def input_files(arguments: argparse.Namespace) -> list[Path]:
             from beamfield.io.maps.ros_map import image_path
 
             with suppress(BeamfieldError, OSError):  # no map, or one whose faults are told where it is read
-                paths.append(image_path(path))
+                if path.is_file() and b"image" in path.read_bytes():  # parsing parameters takes a tenth of a second
+                    paths.append(image_path(path))
     patched = getattr(arguments, "patch", None)
     return [path for path in paths if patched is None or os.path.realpath(path) != os.path.realpath(patched)]
 

@@ -190,8 +190,7 @@ def test_what_cannot_be_said_of_a_sonars_path_is_not_advised(folder, capsys):
     assert (
         run(folder, "--particles", "500", "--opening-angle", "5", "--start", "2", "2", "0", "--json", poses=False) == 0
     )
-    (finding,) = document(capsys)["findings"]
-    assert finding["name"] == "lost-not-judged"
+    assert "lost-not-judged" in {finding["name"] for finding in document(capsys)["findings"]}
     assert run(folder, "--particles", "500", "--opening-angle", "5", poses=False) == 0
     assert "beamfield trajectory" not in capsys.readouterr().out
 

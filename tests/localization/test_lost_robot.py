@@ -81,6 +81,21 @@ def test_one_whose_scans_agree_far_better_there_than_anywhere_near_is_not_lost_i
     assert find_lost_robot(drive(hall(0), 25), hall(0), HALL_POSES).name == "robot-lost"
 
 
+def test_scans_from_beyond_the_map_count_only_where_there_are_hardly_others():
+    moved = log()
+    ranges = moved.ranges.copy()
+    ranges[5:] -= 1.0
+    moved = replace(moved, ranges=ranges)
+    assert find_lost_robot(moved, GRID, POSES).name == "robot-lost"
+    # From x = 7.25 m on nothing is known: 5 of the 21 scans are from within the map, and agree.
+    assert (
+        find_lost_robot(moved, replace(GRID, probability=np.where(np.arange(200) < 72, CELLS, np.nan)), POSES) is None
+    )
+    # From x = 6.75 m on: 4 are.
+    grid = replace(GRID, probability=np.where(np.arange(200) < 67, CELLS, np.nan))
+    assert find_lost_robot(moved, grid, POSES).name == "robot-lost"
+
+
 def test_where_nothing_can_be_compared_nobody_is_lost():
     assert find_lost_robot(replace(log(), ranges=np.full((21, 20), np.nan)), GRID, POSES) is None
     assert find_lost_robot(log(20), GRID, np.full((21, 3), np.nan)) is None

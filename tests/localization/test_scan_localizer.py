@@ -193,8 +193,8 @@ def test_wean_hall_is_followed_and_found_from_anywhere_though_a_wrong_place_fits
     sure = np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2) < 0.5**2
     assert found.updates[sure][0] > 0.5 * len(log)
     assert np.nanmax(off[found.updates][sure]) < 0.6
-    # For ten scans only, which proves nothing; the wrong place is not told by its readings.
+    # For ten scans only, which proves nothing; the wrong place is not told by its readings, but leads beyond the map.
     assert [finding.name for finding in found.findings] == ["not-found"]
     assert "only for the last 10 scans used" in found.findings[0].text
-    assert too_sure.findings == ()
+    assert [finding.name for finding in too_sure.findings] == ["beyond-map"]
     assert np.nanmin(astray[len(log) // 2 :]) > 5.0

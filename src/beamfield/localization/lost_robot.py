@@ -6,6 +6,7 @@ import numpy as np
 
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between
+from beamfield.localization.mapped_area import MappedArea
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.outdated_map import find_outdated_map
 from beamfield.maps.ray_agreement import LEAST_AGREEMENT, scan_agreement
@@ -18,6 +19,8 @@ MOST_JUMPS = 0.1
 # way, agree so little, as the last ones do alone; they begin where the sum of what is missing to AGREES is largest.
 SCANS, FEWEST, LEAST_WAY = 1000, 20, 1.0
 AGREES, LEAST_AT_END = 0.3, 0.25
+# Share of the scans within the map by which alone a robot is judged.
+LEAST_WITHIN = 0.2
 
 
 def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Finding | None:
@@ -39,6 +42,10 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
     seen = np.flatnonzero(np.isfinite(shares))
     if not len(seen):
         return None
+    # Beyond the map scans agree with nothing; a robot that is there nearly all the time is lost all the same.
+    within = ~MappedArea(grid).is_beyond(poses[seen])
+    if within.mean() >= LEAST_WITHIN:
+        seen = seen[within]
     shares, median = shares[seen], float(np.median(shares[seen]))
     parted, end = "", _end(shares, log.odometry[seen])
     if end is not None:

@@ -12,6 +12,7 @@ from beamfield.argument_kinds import expect
 from beamfield.arguments import as_count, as_generator, checked
 from beamfield.geometry import FloatArray
 from beamfield.localization.coarse_model import CoarseModel
+from beamfield.localization.mapped_area import MappedArea
 from beamfield.localization.particle_filter import ParticleFilter, Update
 from beamfield.localization.particles import free_poses, require_free
 from beamfield.maps.occupancy import OccupancyGrid
@@ -148,6 +149,9 @@ class Relocalizer:
     def _is_better(self, scan: Scan, pose: FloatArray, other_pose: FloatArray) -> bool:
         """Compare two places by one more scan: whether the other one has proved right; gives it up if it has not."""
         shares = agreement_at(scan, self._caster, pose), agreement_at(scan, self._caster, other_pose)
+        # Beyond the map a scan agrees with nothing: another place has to be a good one, not just better.
+        if self._area.is_beyond(pose):
+            shares = float(np.fmax(shares[0], LEAST_AGREEMENT)), shares[1]
         if not np.isfinite(shares).all():
             return False
         self._shares.append(shares)
@@ -160,6 +164,10 @@ class Relocalizer:
     @cached_property
     def _caster(self) -> RayCaster:
         return RayCaster(self._grid)
+
+    @cached_property
+    def _area(self) -> MappedArea:
+        return MappedArea(self._grid)
 
     @cached_property
     def _coarse(self) -> MeasurementModel[Scan]:

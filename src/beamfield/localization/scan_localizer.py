@@ -15,6 +15,7 @@ from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding, Severity, worst_first
 from beamfield.geometry import FloatArray
 from beamfield.localization.coarse_model import CoarseModel
+from beamfield.localization.mapped_area import MappedArea, MappedAreaModel
 from beamfield.localization.particle_filter import FilterOptions, ParticleFilter, Update
 from beamfield.localization.particles import Estimate, belief_poses, free_poses
 from beamfield.localization.recovery import PoseSource
@@ -37,6 +38,8 @@ JUDGED_SCANS, CONTRADICTED = 20, 0.25
 # were used, and after JUDGED_SCANS where an earlier place proved wrong. In the maps of ten other offices, places were
 # found for the last 1 to 11 scans of a log.
 PROVING_SCANS = 12
+# So small a share of scans beyond the map is not worth a word: a cell may be unknown where a robot drives.
+FEW = 0.01
 
 # Called after each measurement used: the index of its scan, and what it did.
 Watch = Callable[[int, Update], None]
@@ -198,6 +201,10 @@ class ScanLocalizer:
         is_late = is_judged and place.n_scans < proving
         counts["found-late"] = place.n_scans if is_late else 0
         counts["not-found"] = int(not own.is_found or (is_late and place.n_scans == 0))
+        # Where it was taken to be before it was found, or found elsewhere, says nothing.
+        known = poses[searched_from:][np.isfinite(poses[searched_from:]).all(axis=1)]
+        n_beyond = int(self._area.is_beyond(known).sum())
+        counts["beyond-map"] = n_beyond if n_beyond > FEW * len(log) and own.is_found and not is_late else 0
         counts["stamps-back"] = int((np.diff(log.stamps) < 0.0).sum())
         return Localization(
             poses,
@@ -212,8 +219,13 @@ class ScanLocalizer:
 
     def _filter(self, rng: np.random.Generator | int) -> ParticleFilter[Scan]:
         return ParticleFilter(
-            self.model, self.motion, self.options, source=self.source, short_readings=self.short_readings, rng=rng
-        )
+            MappedAreaModel(self.model, self._area), self.motion, self.options,
+            source=self.source, short_readings=self.short_readings, rng=rng,
+        )  # fmt: skip
+
+    @cached_property
+    def _area(self) -> MappedArea:
+        return MappedArea(self.grid)
 
     def _relocalizer(self, rng: np.random.Generator) -> Relocalizer:
         # Searches draw from a source of their own: a robot that is followed has the same poses without them. It is not
@@ -297,6 +309,11 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
         "warning",
         "The filter was sure {times} of a place that the scans then contradicted.",
         "The robot was searched for again, on the whole map; poses before that are wrong.",
+    ),
+    "beyond-map": (
+        "warning",
+        "In {n} of {t} scans the robot is where the map is unknown, or beyond its edges.",
+        "There only the odometry moved it. Map that part, too, if it was there; if it was not, it was lost.",
     ),
     "stamps-back": (
         "warning",

@@ -15,6 +15,7 @@ from beamfield.geometry import FloatArray, as_pose, chained
 from beamfield.localization.course_choice import FoundCourse, StartHypothesis, choose_course
 from beamfield.localization.drive import Drive, prepare, with_points
 from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
+from beamfield.localization.mapped_area import MappedArea
 from beamfield.localization.robot_faults import OF_THE_ROBOT
 from beamfield.localization.scan_delay import scan_delay
 from beamfield.localization.scan_odometry import odometry_from_scans
@@ -236,7 +237,8 @@ def fit_course(
     poses, cut = _spread_out(drive, found.course)
     report("fitting all poses", 0, 1)
     fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
-    trusted, more = judge_trajectory(drive, walls, fitted, cut, max_deviation)
+    beyond = MappedArea(grid).is_beyond(fitted.poses)
+    trusted, more = judge_trajectory(drive, walls, fitted, cut, beyond, max_deviation)
     of_wheels = () if log.has_odometry else OF_WHEELS
     turns = turn_errors(drive, fitted.poses, cut)
     seen = [*turn_findings(turns), *drift_at_rest(drive, fitted.poses), *odometry_findings(drive, found.course, fitted)]

@@ -35,9 +35,15 @@ FEW_UNKNOWN = 0.01
 BRIDGED = 2.0
 
 
-def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[np.bool_], max_deviation: float
-                     ) -> tuple[NDArray[np.bool_], list[Finding]]:  # fmt: skip
-    """Return which scans (t,) are trusted, and a finding for each reason why not."""
+def judge_trajectory(
+    drive: Drive,
+    walls: Walls,
+    fitted: Smoothed,
+    cut: NDArray[np.bool_],
+    beyond: NDArray[np.bool_],
+    max_deviation: float,
+) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """Return which scans (t,) are trusted, and a finding for each reason why not; some are from beyond the map."""
     position = np.sqrt(np.linalg.eigvalsh(fitted.covariances[:, :2, :2])[:, 1])
     heading = np.sqrt(fitted.covariances[:, 2, 2])
     agreement = _agreement(drive, walls, fitted)
@@ -57,7 +63,12 @@ def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[
             "a corridor without ends in sight, or no walls", "Drive where more walls are in sight",
         ),
         *_stretches(
-            "poor-fit-stretch", poor & ~weak, drive, {"usual_share": usual},
+            "beyond-map-stretch", poor & ~weak & beyond, drive, {},
+            "the robot is where the map is unknown, or beyond its edges", "it drove on where nobody had mapped",
+            "Map that part, too",
+        ),
+        *_stretches(
+            "poor-fit-stretch", poor & ~weak & ~beyond, drive, {"usual_share": usual},
             f"the scans do not fit the map there: less than {LEAST_AGREEMENT * usual:.0%} of the readings "
             f"agree, elsewhere {usual:.0%}", "the world differs from the map, or the robot is elsewhere",
             "Look at these scans with beamfield check",

@@ -182,6 +182,12 @@ def test_odometry_of_the_wrong_sign_is_put_right_and_mirrored_scans_are_refused(
         fit_trajectory(replace(log, ranges=log.ranges[:, ::-1]), grid)
 
 
+def test_a_map_whose_picture_is_upside_down_is_named(drive: SensorLog):
+    cells, log = room(drive)
+    with pytest.raises(TrajectoryNotFoundError, match=r"only if the map is mirrored .*; best start"):
+        fit_trajectory(log, OccupancyGrid.from_ros(cells[::-1], 0.05))
+
+
 def room(drive: SensorLog) -> tuple[np.ndarray, SensorLog]:
     """Return a furnished room, cells of 0.05 m, and a short drive through it."""
     cells = np.zeros((80, 120))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import TrajectoryNotFoundError
-from beamfield.geometry import compose, interpolate_poses, invert
+from beamfield.geometry import between, chained, compose, interpolate_poses, invert
 from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
 from beamfield.localization.trajectory import fit_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
@@ -61,7 +61,7 @@ def test_the_finding_says_where_the_laser_is(tour: SensorLog):
     assert found is not None
     assert found.text == (
         "Scans and odometry agree if the laser sits at (0.30 m, 0.10 m) on the robot, not at (0.00 m, 0.00 m), and is "
-        "turned by 14.9 degrees to the left of what its mount says."
+        "turned by 15.0 degrees to the left of what its mount says."
     )
 
 
@@ -78,6 +78,19 @@ def test_a_right_mount_a_small_error_and_one_like_reversed_odometry_are_not_name
 ):
     log = mounted(tour, mount)
     assert mount_of_fit(log, log.poses) is None
+
+
+@pytest.mark.parametrize("drift", [-0.13, 0.13])
+def test_odometry_that_drifts_does_not_turn_the_laser(tour: SensorLog, drift: float):
+    # Radians per metre: wheels that differ by 2%, 0.16 m apart.
+    steps = between(tour.odometry[:-1], tour.odometry[1:])
+    steps[:, 2] += drift * np.hypot(steps[:, 0], steps[:, 1])
+    drifting = replace(tour, odometry=chained(tour.odometry[0], steps))
+    assert mount_of_fit(drifting, tour.poses) is None
+    log = mounted(drifting, (0.3, 0.1, 11.0))
+    found = mount_of_fit(log, log.poses)
+    assert found is not None
+    assert found.values["turn_rad"] == pytest.approx(np.radians(4.0), abs=0.01)
 
 
 def test_a_scanner_stamped_late_is_not_taken_for_one_mounted_elsewhere(tour: SensorLog):

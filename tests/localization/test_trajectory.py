@@ -152,6 +152,19 @@ def test_a_robot_that_was_carried_is_found_again_and_the_time_named(drive: Senso
     assert float(said.group(1)) == pytest.approx(driven, rel=0.01)
 
 
+def test_scans_of_a_robot_in_somebodys_hands_are_not_trusted(drive: SensorLog, office: OccupancyGrid):
+    # It is carried while the odometry stands still; the scans see the way.
+    moved = drive.odometry.copy()
+    moved[160:300] = moved[159]
+    moved[300:] = compose(moved[159], between(drive.odometry[300], drive.odometry[300:]))
+    fit = fit_trajectory(replace(drive, odometry=moved), office)
+    assert "kidnapped" in names(fit)
+    assert distances(fit, drive).max() > 1.5
+    assert distances(fit, drive)[fit.trusted].max() < 0.1
+    assert fit.trusted[:150].all()
+    assert fit.trusted[310:].all()
+
+
 def test_a_stamp_that_is_no_number_is_named_as_such(drive: SensorLog):
     cells, log = room(drive)
     stamps = np.array(log.stamps)
@@ -171,6 +184,12 @@ def test_odometry_of_the_wrong_sign_is_put_right_and_mirrored_scans_are_refused(
     # They turn against the odometry too, and it is not the odometry that is wrong.
     with pytest.raises(TrajectoryNotFoundError, match=r"only if its scans are mirrored .*; best start"):
         fit_trajectory(replace(log, ranges=log.ranges[:, ::-1]), grid)
+
+
+def test_a_map_whose_picture_is_upside_down_is_named(drive: SensorLog):
+    cells, log = room(drive)
+    with pytest.raises(TrajectoryNotFoundError, match=r"only if the map is mirrored .*; best start"):
+        fit_trajectory(log, OccupancyGrid.from_ros(cells[::-1], 0.05))
 
 
 def room(drive: SensorLog) -> tuple[np.ndarray, SensorLog]:

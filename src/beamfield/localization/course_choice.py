@@ -50,6 +50,15 @@ MANY_SCANS = 560
 AGREES_FAR_MORE, COSTS_FAR_LESS, AT_MOST = 0.1, 2.5, 1.6
 # A start that is given is believed against a worse fit, without jumps.
 MOST_COST_FROM_START = 9.0
+# What is mirrored if only mirrored scans fit, or, with odometry that is mirrored too, the map.
+MIRRORED_SCANS = (
+    "its scans are mirrored (a lidar upside down, or the wrong sign of angle_increment?): put that right in the "
+    "sensor's frame or in the scans"
+)
+MIRRORED_MAP = (
+    "the map is mirrored (its picture upside down, or rows in the wrong order?): flip the picture from top to bottom, "
+    "and look whether the map's origin still holds"
+)
 # Two courses whose costs and misfits differ by less, in nats, are equally likely.
 SURELY_BETTER = 30.0
 
@@ -120,7 +129,7 @@ def choose_course(
     """Return the course through the log, with odometry put right where its sign is wrong.
 
     The start (3,) is where the first scan was taken, roughly; None if that is not known. TrajectoryNotFoundError if no
-    course fits, two fit equally well, or one fits only scans that are mirrored.
+    course fits, two fit equally well, or one fits only scans, or a map, that are mirrored.
     """
     limit = MOST_COST if start is None else MOST_COST_FROM_START
     search = partial(_hypotheses, grid=grid, walls=walls, start=start, report=report)
@@ -147,6 +156,7 @@ def choose_course(
         return FoundCourse(steps, judged[0][1], hypotheses, findings)
     for _, steps in (plain, reversed_):
         _refuse_mirrored(log, steps, search, limit)
+    _refuse_mirrored(log, turned[1], search, MOST_COST, MIRRORED_MAP)
     may_be_right = start is None and first[0].agrees >= LEAST_AGREEMENT
     raise TrajectoryNotFoundError(
         "no trajectory through this map fits the log (another building, a map out of date or of wrong resolution, "
@@ -207,17 +217,15 @@ def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
 
 
-def _refuse_mirrored(log: SensorLog, drive: Drive, search: Callable[..., list[Judged]], limit: float) -> None:
+def _refuse_mirrored(log: SensorLog, drive: Drive, search: Callable[..., list[Judged]], limit: float,
+                     wrong: str = MIRRORED_SCANS) -> None:  # fmt: skip
     """Refuse a log that fits the map, up to a misfit, if its scans are mirrored."""
     finder = replace(log.finder, mounts=log.finder.mounts * [1.0, -1.0, -1.0])
     image = replace(log, finder=finder)
     judged = search(image, with_points(drive, image), "with its scans mirrored")
     if judged[0][0].misfit <= limit:
-        raise TrajectoryNotFoundError(
-            "the log fits the map only if its scans are mirrored (a lidar upside down, or the wrong sign of "
-            "angle_increment?): put that right in the sensor's frame or in the scans; "
-            f"{_named([one for one, _ in judged[:1]])}"
-        )
+        starts = _named([one for one, _ in judged[:1]])
+        raise TrajectoryNotFoundError(f"the log fits the map only if {wrong}; {starts}")
 
 
 def _hypotheses(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.finding import Finding
-from beamfield.geometry import FloatArray, Pose, after_step, between, wrap_angle
+from beamfield.geometry import FloatArray, Pose, after_step, between, compose, wrap_angle
 from beamfield.localization.alignment import align
 from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog
@@ -105,8 +105,15 @@ def _compared(log: SensorLog, begin: NDArray[np.int64], end: NDArray[np.int64], 
 
 
 def _solve(motions: _Motions) -> tuple[Pose, float]:
-    """Return E (see `mount_of_fit`), and the share of the differences between the motions that it leaves."""
-    x, y, turn = motions.odometry.T
+    """Return E (see `mount_of_fit`), and the share of the differences between the motions that it leaves.
+
+    Scans turn as the robot does, wherever the laser sits. Where odometry turns otherwise (drift, a wrong track width),
+    its error is taken to grow evenly along the way, which turns the chord by half of it: not the laser.
+    """
+    turn = motions.scans[:, 2]
+    half = 0.5 * wrap_angle(turn - motions.odometry[:, 2])
+    corrections = np.column_stack([np.zeros((len(half), 2)), half])
+    x, y, _ = compose(corrections, motions.odometry).T
     cos, sin = np.cos(turn), np.sin(turn)
     rows = np.stack([
         np.stack([x, -y, cos - 1.0, -sin], axis=1),
@@ -122,7 +129,7 @@ def _solve(motions: _Motions) -> tuple[Pose, float]:
         weights = np.minimum(1.0, usual / np.maximum(error, 1e-12))
     turned = -math.atan2(found[1], found[0])
     ahead, aside, _ = after_step((0.0, 0.0, turned), (float(found[2]), float(found[3]), 0.0))
-    before = np.linalg.norm(seen - motions.odometry[:, :2], axis=1)
+    before = np.linalg.norm(seen - np.column_stack([x, y]), axis=1)
     left = float(np.minimum(error, usual) @ np.minimum(error, usual) / max(before @ before, 1e-12))
     return (ahead, aside, turned), left
 

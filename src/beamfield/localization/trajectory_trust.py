@@ -20,6 +20,8 @@ from beamfield.localization.trajectory_start import Course
 MAX_DEVIATION, MAX_HEADING_DEVIATION = 0.1, float(np.radians(4.0))
 # Smallest share of the readings that agree with the map, relative to that of the whole log.
 LEAST_AGREEMENT = 0.5
+# By its odometry a robot stands if it moves so little from one scan that is held to the map to the next, metres.
+STANDS = 0.02
 # Readings agree within so many sigma, or metres if that is more; their share is taken over so much of the way.
 AGREES_SIGMAS, AGREES, AGREEMENT_WAY = 3.0, 0.1, 2.0
 # What is named as a slip: odometry and the rest differ by so much within a second, metres and radians, and sigmas.
@@ -46,11 +48,11 @@ def judge_trajectory(
     """Return which scans (t,) are trusted, and a finding for each reason why not; some are from beyond the map."""
     position = np.sqrt(np.linalg.eigvalsh(fitted.covariances[:, :2, :2])[:, 1])
     heading = np.sqrt(fitted.covariances[:, 2, 2])
-    agreement = _agreement(drive, walls, fitted)
+    own, agreement = _agreement(drive, walls, fitted)
     usual = float(np.median(agreement))
     weak = (position > max_deviation) | (heading > MAX_HEADING_DEVIATION)
     poor = agreement < LEAST_AGREEMENT * usual
-    carried, lost = _around(drive, cut), _far_from_odometry(drive)
+    carried, lost = _around(drive, cut, own < LEAST_AGREEMENT * usual), _far_from_odometry(drive)
     worst = float(position.max())
     findings = [
         *_stretches(
@@ -95,28 +97,38 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> Iterato
         )  # fmt: skip
 
 
-def _agreement(drive: Drive, walls: Walls, fitted: Smoothed) -> FloatArray:
-    """Return (t,) the share of readings that agree with the map around each scan."""
+def _agreement(drive: Drive, walls: Walls, fitted: Smoothed) -> tuple[FloatArray, FloatArray]:
+    """Return the share of readings that agree with the map, of each scan held to it (n,), and around each scan (t,)."""
     noise, signed = fitted.noise.hits, np.empty(len(drive.points))
     kernels.fill_residuals(drive.points, drive.first, fitted.poses[drive.scans], walls, noise.low == noise.high, signed)
     limit = max(AGREES_SIGMAS * noise.sigma, AGREES)
     good = np.nan_to_num(np.abs(off_band(signed, noise)), nan=np.inf) <= limit
     n, sums = len(drive.scans), np.concatenate([[0], np.cumsum(good)])
     hits = np.concatenate([[0], sums[drive.first[1:]]])
+    own = np.diff(hits) / np.maximum(np.diff(drive.first), 1)
     way = drive.way[drive.scans]
     low = np.searchsorted(way, way - 0.5 * AGREEMENT_WAY, side="left")
     high = np.searchsorted(way, way + 0.5 * AGREEMENT_WAY, side="right")
     share = (hits[high] - hits[low]) / np.maximum(drive.first[high] - drive.first[low], 1)
     nearest = np.clip(np.searchsorted(drive.scans, np.arange(len(drive.stamps)), side="right") - 1, 0, n - 1)
-    return np.asarray(share[nearest])
+    return own, np.asarray(share[nearest])
 
 
-def _around(drive: Drive, cut: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the scans (t,) between the last one that was held to the map before a jump and the first one after."""
-    around = np.zeros(len(drive.stamps), bool)
+def _around(drive: Drive, cut: NDArray[np.bool_], poor: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the scans (t,) between the last one that was held to the map before a jump and the first one after.
+
+    To carry a robot takes time, in which it stands by its odometry. Where scans of that time fit the map poorly (n,),
+    all of it is returned: others may fit by chance.
+    """
+    around, last = np.zeros(len(drive.stamps), bool), len(drive.scans) - 1
+    moves = np.concatenate([[0], np.flatnonzero(np.diff(drive.way[drive.scans]) > STANDS) + 1, [last + 1]])
     for step in np.flatnonzero(cut):
-        after = min(int(np.searchsorted(drive.scans, step + 1)), len(drive.scans) - 1)
-        around[drive.scans[max(after - 1, 0)] : drive.scans[after] + 1] = True
+        after = min(int(np.searchsorted(drive.scans, step + 1)), last)
+        before = max(after - 1, 0)
+        begin, end = int(moves[moves <= before][-1]), int(moves[moves > after][0])
+        if poor[begin:end].any():
+            before, after = begin, min(end, last)
+        around[drive.scans[before] : drive.scans[after] + 1] = True
     return around
 
 

@@ -181,7 +181,7 @@ def _usual_noise(family: list[DailySeries]) -> _Noise:
     if len(known) < FEWEST_ROBOTS:
         return _Noise(0.0, 0.0)
     half = np.array([0.5 * (len(item.days) - 1) for item in known])
-    variances = np.array([max(_variance(item.contrasts), _least_variance(item)) for item in known])
+    variances = np.array([max(float(np.var(item.contrasts, ddof=1)), _least_variance(item)) for item in known])
     logs = np.log(variances) - psi(half) + np.log(half)
     low, middle, high = np.quantile(logs, [0.25, 0.5, 0.75])
     excess = ((high - low) / 1.349) ** 2 - float(np.median(polygamma(1, half)))
@@ -315,10 +315,6 @@ def _mean_variance(series: DailySeries, n: int, noise: _Noise) -> float:
     squares = float(np.sum((series.contrasts[:n] - series.contrasts[:n].mean()) ** 2))
     moderated = (noise.dof * noise.variance + squares) / max(noise.dof + n - 1, 1.0)
     return max(moderated, _least_variance(series)) / n
-
-
-def _variance(values: FloatArray) -> float:
-    return float(np.var(values, ddof=1))
 
 
 def _least_variance(series: DailySeries) -> float:

@@ -62,10 +62,14 @@ def cpu_quota(memberships: Path, control_groups: Path) -> float:
             _, _, group = line.partition(":")
             controllers, _, path = group.partition(":")
             if controllers == "":
-                limits = (_limit_v2(folder) for folder in _with_parents(control_groups, path))
+                limits = (_ratio(_words(folder / "cpu.max")) for folder in _with_parents(control_groups, path))
             elif "cpu" in controllers.split(","):
                 roots = (control_groups / name for name in ("cpu", controllers))
-                limits = (_limit_v1(folder) for root in roots for folder in _with_parents(root, path))
+                limits = (
+                    _ratio(_words(folder / "cpu.cfs_quota_us") + _words(folder / "cpu.cfs_period_us"))
+                    for root in roots
+                    for folder in _with_parents(root, path)
+                )
             else:
                 continue
             quota = min([quota, *limits])
@@ -76,14 +80,6 @@ def _with_parents(root: Path, path: str) -> Iterator[Path]:
     folder = root / path.lstrip("/")
     yield folder
     yield from (parent for parent in folder.parents if parent.is_relative_to(root))
-
-
-def _limit_v2(folder: Path) -> float:
-    return _ratio(_words(folder / "cpu.max"))
-
-
-def _limit_v1(folder: Path) -> float:
-    return _ratio(_words(folder / "cpu.cfs_quota_us") + _words(folder / "cpu.cfs_period_us"))
 
 
 def _words(path: Path) -> list[str]:

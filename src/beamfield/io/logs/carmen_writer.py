@@ -48,13 +48,9 @@ def write_carmen(path: str | Path, log: ScanLog) -> None:
     scans = log.only_sensor()
     offset, start, step, radius = _geometry(scans)
     poses, odometry = _poses(scans)
-    text = "".join(
-        line + "\n"
-        for line in chain(
-            _head(scans, offset, start, step, radius),
-            _in_time(_scan_lines(scans, offset, poses, odometry), _odometry_lines(log)),
-        )
-    ).encode("ascii")
+    in_time = sorted(chain(_scan_lines(scans, offset, poses, odometry), _odometry_lines(log)), key=lambda item: item[0])
+    lines = chain(_head(scans, offset, start, step, radius), (line for _, line in in_time))
+    text = "".join(line + "\n" for line in lines).encode("ascii")
     if str(path).endswith(".gz"):
         text = gzip.compress(text, mtime=0)  # no time inside, so that the same log gives the same bytes
     write_file(path, text)
@@ -137,10 +133,6 @@ def _odometry_lines(log: ScanLog) -> Iterator[tuple[float, str]]:
         return
     for stamp, pose in zip(log.odometry.stamps.tolist(), log.odometry.poses, strict=True):
         yield stamp, f"ODOM {_pose(pose)} 0 0 0 {stamp:.6f} beamfield {stamp:.6f}"
-
-
-def _in_time(*streams: Iterator[tuple[float, str]]) -> list[str]:
-    return [text for _, text in sorted(chain(*streams), key=lambda item: item[0])]
 
 
 def _pose(pose: FloatArray) -> str:

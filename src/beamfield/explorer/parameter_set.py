@@ -243,10 +243,6 @@ def _holding(slider: Slider, values: Sequence[float]) -> Slider:
     return replace(slider, low=low, high=max(slider.high, *values))
 
 
-def _numbers(parameters: Any) -> dict[str, float]:
-    return {item.name: float(getattr(parameters, item.name)) for item in fields(parameters)}
-
-
 class _Counting(NamedTuple):
     """How much beams count: in a filter, and in one scan on its own, which is what the page shows; None: all beams."""
 
@@ -278,10 +274,12 @@ def _chapter_set(
     def write(changed: Mapping[str, float]) -> tuple[str, str]:
         own, exponent = split(changed)
         n_beams = counting.n_beams or finder.n_beams
+        origin = {"program": f"beamfield {__version__}", "command": "explore"}
         exponents = {"exponent": in_filter * exponent, "single_scan_exponent": exponent}
-        return name, text_of(own, finder, provenance=_origin(), n_beams=n_beams, **exponents)
+        return name, text_of(own, finder, provenance=origin, n_beams=n_beams, **exponents)
 
-    values = {**_numbers(parameters), "exponent": counting.single}
+    values = {item.name: float(getattr(parameters, item.name)) for item in fields(parameters)}
+    values["exponent"] = counting.single
     return ParameterSet(label, kind, kind, _sliders(values), values, make, partial(make, share=in_filter), write)
 
 
@@ -310,7 +308,3 @@ def _stack_set(
 
     family = f"{stack} {model}"
     return ParameterSet(label, "stack", family, _sliders(values, names), values, make, make, write)
-
-
-def _origin() -> dict[str, Any]:
-    return {"program": f"beamfield {__version__}", "command": "explore"}

@@ -6,7 +6,10 @@ poses fitted to the beams that are judged; and at poses fitted to every other be
 walls are never quite where a map has them. Printed, as medians over the offices: the positions' error and what the fit
 says of it; sigma_hit at the exact poses, how much it differs at the fitted ones, and the differences of z_hit.
 
-Run: python benchmarks/fitted_poses.py [COUNT]     (5 offices)
+A second table counts how many 95% intervals hold the truth, in COVERED other logs of 100 s as `beamfield demo` draws
+them, whose neighbouring beams and scans err alike.
+
+Run: python benchmarks/fitted_poses.py [COUNT [COVERED]]     (5 and 24 offices)
 """
 
 from __future__ import annotations
@@ -18,10 +21,12 @@ import numpy as np
 
 import beamfield as bf
 from beamfield.localization.fitted_poses import cross_fit_poses
+from beamfield.simulation.dependence import Dependence
 from tables import print_table
 
 LASER = bf.RangeFinder.from_bearings(np.radians(np.linspace(-135, 135, 181)), max_range=12.0)
 NOISE = (0.01, 0.03, 0.06)
+NAMES = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
 OPTIONS = bf.CalibrationOptions(refine=False, range_offset="off", sigma_slope="off")
 
 
@@ -94,6 +99,26 @@ def main(count: int) -> None:
     print_table(rows)
 
 
+def print_coverage(count: int) -> None:
+    """Print how many intervals hold the truth at exact poses, and at fitted ones without and with their error."""
+    truth = bf.BeamParameters(0.82, 0.09, 0.03, 0.06, 0.04, 0.5)
+    held = {way: dict.fromkeys(NAMES, 0) for way in ("exact", "fitted, as if exact", "fitted")}
+    for seed in range(1, count + 1):
+        grid = bf.draw_floor_plan(seed=seed)
+        log = bf.simulate_log(
+            grid, LASER, truth, duration=100.0, scan_rate=5.0, seed=seed, dependence=Dependence(np.radians(4.0), 1.0)
+        ).only_sensor()
+        fitted = cross_fit_poses(log.with_poses(np.full((len(log), 3), np.nan)), grid)
+        judged, errors = fitted.judged, fitted.fit.covariances
+        logs = (judged.with_poses(log.poses), None), (judged, None), (judged, errors)
+        for counts, (one, covariances) in zip(held.values(), logs, strict=True):
+            found = bf.calibrate(one, grid, OPTIONS, covariances=covariances).intervals.intervals
+            for name in NAMES:
+                counts[name] += found[name][0] <= getattr(truth, name) <= found[name][1]
+    print()
+    print_table([{f"poses, {count} logs": way, **counts} for way, counts in held.items()])
+
+
 def median(values: list[float], form: str) -> str:
     """Return the median as text."""
     return format(float(np.median(values)), form)
@@ -101,3 +126,4 @@ def median(values: list[float], form: str) -> str:
 
 if __name__ == "__main__":
     main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
+    print_coverage(int(sys.argv[2]) if len(sys.argv) > 2 else 24)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import checked
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
@@ -35,11 +35,12 @@ from beamfield.calibration.findings import (
     selection_findings,
     table_findings,
 )
-from beamfield.calibration.hit_forms import Candidate, Progress, fit_candidates, form_intervals
+from beamfield.calibration.hit_forms import Candidate, Progress, fit_candidates, form_intervals, learn_form
 from beamfield.calibration.intrinsic.block_intervals import IntervalResult
 from beamfield.calibration.intrinsic.em import LearningResult
 from beamfield.calibration.opposite_beams import OppositeBeams, map_findings, opposite_beams
 from beamfield.calibration.options import CalibrationOptions
+from beamfield.calibration.pose_error import as_pose_covariances, with_error_again, with_pose_error
 from beamfield.calibration.pose_refinement import PoseRefinement, refine_poses, refinement_findings
 from beamfield.calibration.reference_checks import pose_findings
 from beamfield.calibration.selection import Selection, select_scans, thinned
@@ -175,6 +176,7 @@ def calibrate(
     grid: OccupancyGrid | CrossFitMaps,
     options: CalibrationOptions | None = None,
     *,
+    covariances: ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
     """Learn the intrinsic parameters of the beam model from a log with reference poses and a map.
@@ -194,19 +196,23 @@ def calibrate(
         The map; or, for a log that has none, the two maps drawn from its halves (`build_cross_fit_maps`).
     options
         See `CalibrationOptions`.
+    covariances
+        (t, 3, 3) of the log's poses, in the map frame, as `fit_trajectory` gives them: intervals then hold what errors
+        of the poses do to the parameters. None, and without a map: poses count as exact.
     progress
         Called with (stage, done, total).
 
     Raises
     ------
     InvalidInputError
-        If the log has no reference poses, lies off the map, or the map has no obstacle.
+        If the log has no reference poses, lies off the map, or the map has no obstacle; or if the covariances have
+        another shape, are not finite where there is a pose, or not positive semi-definite.
     TooLittleDataError
         If too few scans or beams remain; the text says where they went.
 
     References
     ----------
-    Sections 6.3.2 and 6.3.3, Table 6.2.
+    Sections 6.3.2 and 6.3.3, Table 6.2. For covariances: Cook and Stefanski 1994, simulation and extrapolation.
     """
     options = options or CalibrationOptions()
     report = progress or (lambda _stage, _done, _total: None)
@@ -242,6 +248,12 @@ def calibrate(
             fit, intervals = with_clutter(fit, intervals, len(fitted), seen, options)
             fit, intervals = without_wall_error(fit, intervals, wall_variance(log, grid, table, fit.sigma_hit))
         from_table = cross_fit_findings(grid, table, 0 if clutter is None else len(clutter), fit, intervals)
+    elif covariances is not None:
+        off = with_error_again(log, as_pose_covariances(log, covariances), options.seed)
+        more, _ = _cast(off, grid, selection.used, options, report)
+        more = more.select(~np.isin(more.scan, table.scan[held_out]) & ~more.hits_nothing)
+        again = learn_form(more, options.hold, offset=chosen.has_offset, slope=chosen.has_slope).parameters
+        intervals = with_pose_error(intervals, fit, again)
     report("intervals", 1, 1)
 
     # 5. Judge it on the held-out blocks.

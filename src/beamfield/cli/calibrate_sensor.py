@@ -151,7 +151,8 @@ class CalibrationJob:
         whole = sensor if fitted is None else fitted.log
         if self.arguments.stack is not None:
             warn_if_too_short(self, whole, self.grid)
-        result = calibrate(sensor, self.grid, self.options, progress=self.progress)
+        covariances = None if fitted is None else fitted.fit.covariances
+        result = calibrate(sensor, self.grid, self.options, covariances=covariances, progress=self.progress)
         if fitted is not None:
             result = replace(result, findings=with_map_judged(result.findings, fitted))
         counting, exponents = learn_beam_exponent(self, sensor, self.grid, result)

@@ -154,7 +154,7 @@ def parameter_comparison(truth: Mapping[str, float], fitted: Mapping[str, Mappin
         numbers = f"{truth[name]:.4f}", f"{entry['value']:.4f}", f"[{low:.4f}, {high:.4f}]"
         rows.append((name, *numbers, "yes" if holds else "NO"))
     table = aligned(("parameter", "truth", "fit", "95% interval", "holds the truth"), rows, right=(1, 2))
-    return f"{table}\n{held} of {len(rows)} intervals hold the truth; the error of the fitted poses is not in them"
+    return f"{table}\n{held} of {len(rows)} intervals hold the truth"
 
 
 def error_comparison(evaluation: Mapping[str, Any]) -> str:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, checked, require
+from beamfield.arguments import checked
 from beamfield.calibration.odometry.findings import odometry_findings
 from beamfield.calibration.odometry.held_out import (
     HeldOut,
@@ -34,8 +34,9 @@ from beamfield.calibration.odometry.result import (
 )
 from beamfield.calibration.odometry.systematic import systematic_errors
 from beamfield.calibration.odometry.windows import SYSTEMATIC, OdometryWindows, cut_odometry_windows, update_scans
+from beamfield.calibration.pose_error import as_pose_covariances
 from beamfield.calibration.pose_windows import reference_deviations
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.errors import TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.models.differential_motion import DifferentialMotion
 from beamfield.models.motion import OdometryMotion
@@ -286,11 +287,4 @@ def _pose_covariances(log: SensorLog, covariances: ArrayLike | None, options: Od
     if covariances is None:
         deviations = reference_deviations(options.reference_error)
         return np.broadcast_to(np.diag(deviations**2), (len(log), 3, 3))
-    given = as_floats(covariances, "covariances")
-    require(given.shape == (len(log), 3, 3), "covariances", f"shape ({len(log)}, 3, 3)", given.shape)
-    posed = np.isfinite(log.poses).all(axis=1)
-    if not np.isfinite(given[posed]).all():
-        raise InvalidInputError("covariances: expected finite numbers wherever there is a pose")
-    if len(given[posed]) and np.linalg.eigvalsh(given[posed])[:, 0].min() < -1e-9:
-        raise InvalidInputError("covariances: expected positive semi-definite matrices")
-    return given + EXACT**2 * np.eye(3)
+    return as_pose_covariances(log, covariances) + EXACT**2 * np.eye(3)

@@ -423,3 +423,65 @@ def test_a_filter_shows_its_parts_and_its_state():
     own.start(np.tile([1.0, 2.0, 0.0], (8, 1)))
     own.update(np.array([1.0, 2.0]), np.zeros(3))
     assert repr(own) == "ParticleFilter(Position, Shift, 8 particles, pose=[1.0, 2.0, 0.0])"
+
+
+class MovedAs(Shift):
+    """Returns what it draws in a form of its own."""
+
+    def __init__(self, form) -> None:
+        super().__init__(0.1)
+        self.form = form
+
+    def sample(self, poses, odometry, rng):
+        return self.form(super().sample(poses, odometry, rng))
+
+
+@pytest.mark.parametrize("form", [np.ndarray.tolist, np.asfortranarray, lambda poses: poses.astype(">f8")])
+def test_a_motion_model_of_ones_own_may_return_any_numbers(form):
+    beliefs = []
+    for motion in (Shift(0.1), MovedAs(form)):
+        own = ParticleFilter(Position(0.1), motion, FilterOptions(**ALWAYS), rng=0)
+        own.start(np.zeros((50, 3)))
+        for x in (0.0, 1.0, 2.0):
+            own.update([x, 0.0], [x, 0.0, 0.0])
+        beliefs.append(own.belief.poses)
+    assert beliefs[1].dtype == np.float64
+    assert beliefs[1].flags.c_contiguous
+    np.testing.assert_array_equal(*beliefs)
+
+
+@pytest.mark.parametrize("form", [lambda _: None, lambda poses: poses * np.nan])
+def test_a_motion_model_that_returns_no_poses_is_named(form):
+    own = ParticleFilter(Position(0.1), MovedAs(form), FilterOptions(**ALWAYS), rng=0)
+    own.start(np.zeros((50, 3)))
+    own.update([0.0, 0.0], [0.0, 0.0, 0.0])
+    with pytest.raises(InvalidInputError, match=r"^motion: expected"):
+        own.update([1.0, 0.0], [1.0, 0.0, 0.0])
+
+
+class Source:
+    """Draws the poses that it is given, however many are asked for."""
+
+    def __init__(self, poses) -> None:
+        self.poses = poses
+
+    def draw(self, _z, _n, _rng):
+        return self.poses
+
+
+@pytest.mark.parametrize("poses", [None, np.zeros((5, 2)), np.zeros(3), np.zeros((5000, 3))])
+def test_a_source_that_draws_something_else_is_named(poses):
+    options = FilterOptions(**ALWAYS, recovery=Recovery(alpha_slow=0.001, alpha_fast=1.0, most=1.0))
+    own = ParticleFilter(Position(0.1), Shift(0.1), options, source=Source(poses), rng=0)
+    own.start(np.zeros((50, 3)))
+    own.update([0.0, 0.0], [0.0, 0.0, 0.0])
+    with pytest.raises(InvalidInputError, match=r"^source: expected"):
+        own.update([9.0, 0.0], [0.0, 0.0, 0.0])
+
+
+def test_a_cloud_that_the_caller_fills_again_stays_as_it_was():
+    cloud = np.zeros((50, 3))
+    own = ParticleFilter(Position(0.1), Shift(0.1), rng=0)
+    own.start(cloud)
+    cloud[:] = 9.0
+    assert not own.belief.poses.any()

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from beamfield.argument_kinds import expect
 from beamfield.arguments import as_count, as_floats, as_generator, check_fields, checked, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, Pose, after_step, as_poses, step_between
+from beamfield.geometry import FloatArray, Pose, after_step, as_poses, pose_rows, step_between
 from beamfield.localization.continuous_odometry import ContinuousOdometry
 from beamfield.localization.particles import Estimate, Particles
 from beamfield.localization.recovery import LikelihoodAverages, PoseSource, Recovery, reweigh
@@ -206,7 +206,8 @@ class ParticleFilter(Generic[Z]):
             If the cloud is not finite (n, 3), or the weights do not fit.
         """
         given = None if weights is None else as_floats(weights, "weights")
-        self._belief = Particles(as_poses(poses), given)
+        # A copy: the caller may fill the same array again.
+        self._belief = Particles(np.array(as_poses(poses), order="C"), given)
         self._coarse = coarse
         self._odometry = ContinuousOdometry()
         self._used: Pose | None = None
@@ -306,14 +307,15 @@ class ParticleFilter(Generic[Z]):
         """Return the cloud after the motion since the last measurement used."""
         if self._used is None:
             return belief
-        poses = self._motion.sample(belief.poses, np.array([self._used, self._odometry.pose]), self._rng)
+        drawn = self._motion.sample(belief.poses, np.array([self._used, self._odometry.pose]), self._rng)
+        poses = as_poses(drawn, "motion")
         if self._odometry.jumps > self._jumps_used:
             poses = poses + JUMP_SPREAD * self._rng.standard_normal(poses.shape)
         if poses.shape != belief.poses.shape:
             raise InvalidInputError(
                 f"motion: expected as many poses as there are, {len(belief)}, got shape {poses.shape}"
             )
-        return Particles.unchecked(poses, belief.weights)
+        return Particles.unchecked(pose_rows(poses), belief.weights)
 
     def _log_likelihood(self, z: Z, belief: Particles) -> FloatArray:
         model = self._model if self._coarse is None else self._coarse
@@ -335,7 +337,9 @@ class ParticleFilter(Generic[Z]):
         n_replaced = self._rng.binomial(len(indices), share) if share > 0.0 else 0
         fresh = np.zeros((0, 3))
         if n_replaced and self._source is not None:
-            fresh = self._source.draw(z, n_replaced, self._rng)
+            fresh = as_poses(self._source.draw(z, n_replaced, self._rng), "source")
+            if fresh.ndim != 2 or len(fresh) > n_replaced:
+                raise InvalidInputError(f"source: expected at most {n_replaced} poses (n, 3), got shape {fresh.shape}")
             # Which particles go must not depend on their order.
             indices = self._rng.permutation(indices)[len(fresh) :]
         poses = belief.poses[indices]

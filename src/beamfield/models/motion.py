@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, checked, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, step_between
+from beamfield.geometry import FloatArray, as_poses, pose_rows, step_between
 
 # A step beyond what a robot does (metres, m/s, radians, rad/s) is no motion: the odometry was reset, or is wrong.
 JUMP, JUMP_SPEED, JUMP_TURN, JUMP_RATE = 1.0, 3.0, 1.0, 3.0
@@ -97,7 +97,7 @@ class OdometryMotion(ABC):
         """Draw where each robot is after the step; see `MotionModel`."""
         start = as_poses(poses)
         require(start.ndim == 2, "poses", "shape (n, 3)", start.shape)
-        return self.step(as_odometry(odometry)).sample(start, rng)
+        return self.step(as_odometry(odometry)).sample(pose_rows(start), rng)
 
     @checked
     def log_density(self, after: ArrayLike, before: ArrayLike, odometry: ArrayLike) -> FloatArray:

@@ -54,6 +54,23 @@ def test_a_folder_that_is_no_bag(tmp_path):
     refuse(tmp_path / "photos", "not a ROS 2 bag.*metadata.yaml")
 
 
+def test_messages_that_a_database_holds_beside_itself_are_not_lost(tmp_path):
+    """As a power cut leaves them: with immutable=1, as rosbags opens it, SQLite does not look at the file beside."""
+    whole, cut = many_scans("sqlite3").write(tmp_path), tmp_path / "cut"
+    file = storage_file(whole)
+    base = sqlite3.connect(file)
+    base.execute("PRAGMA journal_mode = WAL")
+    with base:
+        base.execute("UPDATE messages SET id = id + 1000 WHERE id > 100")
+    shutil.copytree(whole, cut)
+    base.close()
+    refuse(cut, rf"cut off.* in {file.name}-wal\..*wal_checkpoint")
+    with sqlite3.connect(storage_file(cut)) as base:
+        base.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    base.close()
+    assert len(read_bag(cut).only_sensor()) == 200
+
+
 @pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
 def test_wrong_magic(suffix, tmp_path):
     path = tmp_path / f"x{suffix}"

@@ -239,10 +239,23 @@ def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes]
         plain = scratch / file.stem if is_packed else file
         if is_packed:
             unpack_file(file, plain)
+        else:
+            _check_merged(file)
         check_storage(plain, file)
         _check_profile(plain, file)
         opened.append(plain)
     return opened, partial(unpack_message, allowance=allowance)
+
+
+def _check_merged(file: Path) -> None:
+    """Refuse a database whose last messages are in a file beside it, which rosbags does not read."""
+    rest = file.with_name(f"{file.name}-wal")
+    if rest.is_file() and rest.stat().st_size > 0:
+        raise FormatError(
+            file,
+            f"a recording that was cut off, or goes on: its last messages are in {rest.name}. Once it has ended, "
+            f"`sqlite3 {file.name} 'PRAGMA wal_checkpoint(TRUNCATE)'` moves them into {file.name}",
+        )
 
 
 def _check_profile(path: Path, unpacked_from: Path) -> None:

@@ -21,7 +21,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "hall.yaml").write_text(MAP)
     Image.fromarray(np.full((20, 30), 254, np.uint8)).save(tmp_path / "hall.png")
     (tmp_path / "link.yaml").symlink_to("hall.yaml")
-    for name in ("drive.txt", "seen.csv", "tags.csv", "trajectory.tum", "map.yaml"):
+    names = "drive.txt seen.csv tags.csv trajectory.tum map.yaml beam_model.yaml evaluation.csv"
+    for name in names.split():
         (tmp_path / name).write_text("never read")
     return tmp_path
 
@@ -37,6 +38,12 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["precompute", "hall.yaml", "--max-range", "5", "--out", "hall.png"], "hall.png"),
         (["localize", "drive.txt", "--map", "hall.yaml", "--poses", "trajectory.tum", "--out", "."], "trajectory.tum"),
         (["simulate", "--map", "map.yaml", "--out", "."], "map.yaml"),
+        (["check", "drive.txt", "--map", "hall.yaml", "--params", "beam_model.yaml", "--out", "."], "beam_model.yaml"),
+        (["calibrate", "drive.txt", "--map", "beam_model.yaml", "--out", "."], "beam_model.yaml"),
+        (
+            ["evaluate", "drive.txt", *"--map hall.yaml --params map.yaml --poses evaluation.csv -o .".split()],
+            "evaluation.csv",
+        ),
         (["calibrate-landmarks", "seen.csv", "--landmarks", "tags.csv", "--out", "tags.csv"], "tags.csv"),
     ],
 )
@@ -72,3 +79,20 @@ def test_a_file_is_patched_with_what_was_read_from_it(place):
         == 0
     )
     assert (place / "nav2_params.yaml.bak").exists()
+
+
+@pytest.mark.parametrize("model", ["likelihood_field_prob", "beam"])
+def test_a_file_to_patch_is_not_replaced_by_the_new_file_of_its_program(place, model, capsys):
+    path = place / "nav2.yaml"
+    values = f"laser_model_type: {model}, z_hit: 0.5, z_rand: 0.5, sigma_hit: 0.2"
+    path.write_text(f"amcl:\n  ros__parameters: {{{values}}}\n")
+    words = ["calibrate", "drive.txt", "--map", "hall.yaml", "--stack", "nav2", "--patch", "nav2.yaml", "--out", "."]
+    assert main(words) == 2
+    assert "nav2.yaml: this is read as input and would be replaced" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["precompute", "hall.yaml"], ["calibrate", "drive.txt"]])
+def test_a_dash_is_no_name_of_an_output(place, words, capsys):
+    assert main([*words, "--out", "-"]) == 2
+    assert "expected a name, not stdout" in capsys.readouterr().err
+    assert not (place / "-").exists()

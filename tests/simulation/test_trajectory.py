@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tracemalloc
 from functools import cache
 
 import numpy as np
@@ -168,3 +169,16 @@ def test_stamps_that_do_not_increase_are_refused(stamps: list[float]) -> None:
 def test_impossible_drive_options_are_refused(bad: dict[str, float]) -> None:
     with pytest.raises(InvalidInputError, match=next(iter(bad))):
         DriveOptions(**bad)
+
+
+def test_planning_in_a_wide_map_takes_memory_for_its_cells_not_for_cells_times_places() -> None:
+    hall = np.zeros((240, 240), np.int8)
+    hall[::24, ::24] = 100  # pillars, between which there are many places to visit
+    grid = OccupancyGrid.from_ros(hall, 0.1)
+    tracemalloc.start()
+    try:
+        drive_through(grid, np.arange(0.0, 2.0, 0.5))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 500 * hall.size

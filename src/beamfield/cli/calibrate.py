@@ -23,7 +23,7 @@ from beamfield.cli import inputs, options
 from beamfield.cli.calibrate_stack import add_stack_options, next_step, read_stack_request, write_patch
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
-from beamfield.cli.provenance import provenance
+from beamfield.cli.provenance import input_files, provenance
 from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, wants_recording, write_recordings
 from beamfield.cli.terminal import filled
 from beamfield.errors import InvalidInputError
@@ -92,10 +92,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
         arguments = argparse.Namespace(**{**vars(arguments), "reference_error": REFERENCE_ERROR})
     _check(arguments)
     inputs.refuse_moved_map(arguments.map)
-    check_folder_writable(arguments.out)
+    check_folder_writable(arguments.out, "beam_model.yaml", "likelihood_field.yaml", "calibration.json", "report.html")
     check_recordings(arguments)
     learning = _options(arguments)
     patched = read_stack_request(arguments)
+    if arguments.stack is not None:
+        _check_stack_files(arguments)
     with options.progress(arguments) as progress:
         grid = None
         if arguments.map is not None:
@@ -167,6 +169,18 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     if arguments.map is not None and arguments.resolution is not None:
         raise InvalidInputError("--resolution: is for maps drawn from the log, but --map gives one")
+
+
+def _check_stack_files(arguments: argparse.Namespace) -> None:
+    """Refuse an output folder where the stack's new files would replace the file to patch, or another input."""
+    from beamfield.io.files.atomic import check_folder_writable, kept_files
+    from beamfield.stacks.files.calibration_record import MOVED_MAP
+    from beamfield.stacks.registry import STACKS
+
+    # The file to patch is changed in the end, but not by a new file of the same name.
+    patched = [] if arguments.patch is None else [arguments.patch]
+    with kept_files([*input_files(arguments), *patched]):
+        check_folder_writable(arguments.out, f"{arguments.stack}.{STACKS[arguments.stack].syntax}", MOVED_MAP)
 
 
 def _options(arguments: argparse.Namespace) -> CalibrationOptions:

@@ -42,6 +42,9 @@ if TYPE_CHECKING:
     from beamfield.sensors import SensorLog
 
 
+# Names in the output folder.
+PAGE, TABLE, MODEL, REFERENCE = "scan_fit.html", "scan_fit.csv", "beam_model.yaml", "scan_fit_reference.json"
+DOCUMENT = "scan_fit.json"
 # The worst scans are drawn this far apart in time, seconds: neighbours look alike.
 APART_S = 2.0
 
@@ -98,7 +101,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.scan_fit.scan_fit import judge_log
 
     _check(arguments)
-    check_folder_writable(arguments.out)
+    check_folder_writable(arguments.out, DOCUMENT, TABLE, PAGE, MODEL, REFERENCE)
     check_recordings(arguments)
     rates = LostRates(arguments.lose_rate, arguments.find_rate)
     with options.progress(arguments) as progress:
@@ -303,11 +306,11 @@ def _files(
     origin = document["provenance"]
     title = f"Do the scans of {origin['inputs']['log']['name']} fit the map?"
     return {
-        "scan_fit.json": json_text(document),
-        "scan_fit.csv": fit_csv(fits),
-        "scan_fit.html": render_fit_page(title, fits, reference, [f for f in drawn if f is not None], origin, problem),
-        "beam_model.yaml": beam_model_text(model.parameters, given.log.finder, provenance=origin),
-        "scan_fit_reference.json": reference.to_json(),
+        DOCUMENT: json_text(document),
+        TABLE: fit_csv(fits),
+        PAGE: render_fit_page(title, fits, reference, [f for f in drawn if f is not None], origin, problem),
+        MODEL: beam_model_text(model.parameters, given.log.finder, provenance=origin),
+        REFERENCE: reference.to_json(),
     }
 
 

@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     _check(arguments)
     inputs.refuse_moved_map(arguments.map)
-    check_folder_writable(arguments.out)
+    check_folder_writable(arguments.out, "evaluation.json", "evaluation.csv")
     check_recordings(arguments)
     files, notes = _read_files(arguments)
     settings = {name: read_filter_settings(file) for name, file in files.items()}

@@ -31,7 +31,7 @@ MOST_REACH = 1000.0
 def add_out(parser: argparse.ArgumentParser, default: str | None, *, metavar: str, what: str) -> None:
     """Add --out; a command that is there to write has a default, one that answers a question has none."""
     stated = "" if default is None else " (default: %(default)s)"
-    kind = _folder if metavar == "DIR" else Path
+    kind = _folder if metavar == "DIR" else _file
     parser.add_argument("-o", "--out", type=kind, default=default and Path(default), metavar=metavar,
                         help=f"{what}; files of the same name are replaced{stated}")  # fmt: skip
 
@@ -170,8 +170,14 @@ def refuse(arguments: argparse.Namespace, names: Iterable[str], why: str) -> Non
             raise InvalidInputError(f"--{name.replace('_', '-')}: {why}")
 
 
+def _file(text: str) -> Path:
+    if text == "-":
+        raise argparse.ArgumentTypeError("expected a name, not stdout; ./- is a file of this name")
+    return Path(text)
+
+
 def _folder(text: str) -> Path:
-    path = Path(text)
+    path = _file(text)
     if path.suffix.lower() in FILES and not path.exists():
         raise argparse.ArgumentTypeError(f"expected a folder to write files into, got {path.name!r}")
     return path

@@ -139,10 +139,11 @@ class _FreeSpace:
                 kept.append(i)
         places = [int(node) for node in nodes[kept]]
         everywhere = self.centres(np.arange(len(self.cells)))
-        gap = np.min([np.hypot(*(everywhere - everywhere[place]).T) for place in places], axis=0)
-        while gap.max() > LARGEST_GAP:
-            places.append(int(np.argmax(gap)))
-            gap = np.minimum(gap, np.hypot(*(everywhere - everywhere[places[-1]]).T))
+        gap = np.full(len(everywhere), np.inf)
+        for place in places:  # which grows where gaps are left
+            gap = np.minimum(gap, np.hypot(*(everywhere - everywhere[place]).T))
+            if place == places[-1] and gap.max() > LARGEST_GAP:
+                places.append(int(np.argmax(gap)))
         return np.array(places)
 
 

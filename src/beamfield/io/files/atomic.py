@@ -32,7 +32,7 @@ _KEPT: ContextVar[frozenset[str]] = ContextVar("kept_files", default=frozenset()
 def kept_files(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
     """Refuse meanwhile to replace any of these files: they are what a result is made from.
 
-    In a folder that is written only the names are compared that `check_folder_writable` is told.
+    In a folder that is written, before the work only for the names that `check_folder_writable` is told.
     """
     before = _KEPT.set(frozenset(map(os.path.realpath, paths)))
     try:
@@ -138,7 +138,8 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     What is yielded is an empty folder to create files and folders in. Missing parents of `path` are created. If it
     exists, the files written replace those of the same name and everything else in it stays as it is.
-    NotADirectoryError if it is not a folder; OSError as the file system says, with `path` untouched.
+    NotADirectoryError if it is not a folder; InvalidInputError if a file to be replaced is none, or one of the
+    `kept_files`; OSError as the file system says; all with `path` untouched.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_dir():
@@ -153,6 +154,8 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         files = sorted(file for file in part.rglob("*") if not file.is_dir())
         if target.exists() or not _rename_folder(part, files, target):
             goals = [target / file.relative_to(part) for file in files]
+            for goal in goals:
+                _replaceable(goal)
             created += [folder for goal in goals for folder in _create_parents(goal)]
             _replace_all(files, goals)
 

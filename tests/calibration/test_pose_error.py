@@ -69,7 +69,8 @@ def test_the_second_error_has_the_covariance_of_the_first(log: bf.SensorLog):
 
 
 def test_widened_intervals_stay_where_parameters_can_be():
-    found = {"z_hit": (0.9, 0.99), "sigma_hit": (0.01, 0.02), "range_offset": (-0.01, 0.01), "lambda_short": (0, np.inf)}
+    found = {"z_hit": (0.9, 0.99), "sigma_hit": (0.01, 0.02), "range_offset": (-0.01, 0.01)}
+    found["lambda_short"] = 0.0, np.inf
     intervals = IntervalResult(found, dict.fromkeys(found, 0.01), 0.95, 10, ())
     fit = bf.BeamParameters(0.95, 0.02, 0.01, 0.02, sigma_hit=0.015, lambda_short=0.5, range_offset=0.0)
     again = replace(fit, z_hit=0.92, z_rand=0.05, sigma_hit=0.03, range_offset=0.02)

@@ -40,10 +40,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["simulate", "--map", "map.yaml", "--out", "."], "map.yaml"),
         (["check", "drive.txt", "--map", "hall.yaml", "--params", "beam_model.yaml", "--out", "."], "beam_model.yaml"),
         (["calibrate", "drive.txt", "--map", "beam_model.yaml", "--out", "."], "beam_model.yaml"),
-        (
-            ["evaluate", "drive.txt", *"--map hall.yaml --params map.yaml --poses evaluation.csv -o .".split()],
-            "evaluation.csv",
-        ),
+        (["evaluate", "drive.txt", "--map", "hall.yaml", "--params", "evaluation.csv", "-o", "."], "evaluation.csv"),
         (["calibrate-landmarks", "seen.csv", "--landmarks", "tags.csv", "--out", "tags.csv"], "tags.csv"),
     ],
 )

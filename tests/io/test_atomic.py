@@ -395,11 +395,12 @@ def test_an_error_of_another_file_is_left_as_it_is(tmp_path, number, name):
 def test_a_folder_with_a_file_that_is_to_be_kept_stays_as_it_was(tmp_path):
     for name in ("input.csv", "other.csv"):
         (tmp_path / name).write_text("old")
-    with (
-        kept_files([tmp_path / "input.csv"]),
-        pytest.raises(InvalidInputError, match="input.csv: this is read as input"),
-        atomic_folder(tmp_path) as part,
-    ):
-        for name in ("input.csv", "other.csv"):
-            (part / name).write_text("new")
+
+    def replace_both() -> None:
+        with kept_files([tmp_path / "input.csv"]), atomic_folder(tmp_path) as part:
+            for name in ("input.csv", "other.csv"):
+                (part / name).write_text("new")
+
+    with pytest.raises(InvalidInputError, match=r"input\.csv: this is read as input"):
+        replace_both()
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"input.csv": "old", "other.csv": "old"}

@@ -13,7 +13,9 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core import types
 from numba.core.dispatcher import Dispatcher
+from numba.extending import lower_builtin, type_callable
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -76,6 +78,28 @@ def shared(function: F, *, fast: bool | set[str] = False) -> F:
 def inlined_shared(function: F, *, fast: bool | set[str] = False) -> F:
     """Compile a function into its callers, kernels of any file, as `inlined_kernel` does."""
     return _without_entry(function, fastmath=fast, forceinline=True)
+
+
+def wide_vectors() -> None:
+    """Let the loops of the kernel that calls this use the widest vectors of the processor.
+
+    LLVM uses half of them on Intel's processors with AVX-512, of which early ones slowed down with more. It does not
+    speak for callees that are not inlined.
+    """
+
+
+@type_callable(wide_vectors)
+def _type_of_wide_vectors(_: Any) -> Any:
+    return lambda: types.none
+
+
+@lower_builtin(wide_vectors)  # type: ignore[untyped-decorator]
+def _allow_wide_vectors(context: Any, builder: Any, _: Any, __: Any) -> Any:
+    # Past llvmlite's own `add`, which refuses attributes that it does not know. No matter if that ends one day: it
+    # costs speed alone.
+    if isinstance(builder.function.attributes, set):
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
+    return context.get_dummy_value()
 
 
 def _compiled(function: F, **flags: Any) -> F:

@@ -22,7 +22,7 @@ from beamfield.kernels.beam import (
     log_mixture,
 )
 from beamfield.kernels.elementary import LOG2_E, ROUNDING, fast_log, fused_exp_2
-from beamfield.kernels.jit import fused_kernel, inlined_fused_kernel, kernel
+from beamfield.kernels.jit import fused_kernel, inlined_fused_kernel, kernel, wide_vectors
 
 Floats = NDArray[np.float64]
 
@@ -115,6 +115,7 @@ def _quick_mixture(
 @fused_kernel
 def _fill_quick(ranges: Floats, decay: Floats, expected: Floats, at_limit: float, view: BeamView, out: Floats) -> None:
     """Fill out (n,) with `_quick_mixture`; n is a multiple of LANES."""
+    wide_vectors()
     widest = hit_sigma(view.max_range, view)
     # Given as a literal, Numba would compile the callee once for each.
     cut_once = view.sigma_slope == 0.0 and 2.0 * WHOLE_SIGMAS * widest < view.max_range

@@ -26,21 +26,25 @@ def place(
     """Fill rows x, y, cos, sin of `placed` with `count` poses in the grid's frame, from number `first` on, in cells."""
     frame_x, frame_y, yaw = frame
     frame_c, frame_s = math.cos(yaw), math.sin(yaw)
-    many = False
-    for b in range(count):
-        dx, dy = poses[first + b, 0] - frame_x, poses[first + b, 1] - frame_y
-        heading = poses[first + b, 2] - yaw
+    many = 0
+    # Flat, and no index negative: LLVM would not vectorise else.
+    numbers, n, begin = poses.reshape(-1), np.uintp(count), np.uintp(3 * first)
+    y, c, s = np.uintp(STRIDE), np.uintp(2 * STRIDE), np.uintp(3 * STRIDE)
+    for b in range(n):
+        pose = begin + np.uintp(3) * b
+        dx, dy = numbers[pose] - frame_x, numbers[pose + np.uintp(1)] - frame_y
+        heading = numbers[pose + np.uintp(2)] - yaw
         placed[b] = (frame_c * dx + frame_s * dy) / resolution
-        placed[STRIDE + b] = (frame_c * dy - frame_s * dx) / resolution
-        placed[2 * STRIDE + b] = heading
-        many |= abs(heading) > MANY_TURNS
-    for b in range(count):
-        placed[2 * STRIDE + b], placed[3 * STRIDE + b] = cos_sin(placed[2 * STRIDE + b])
-    if many:
-        for b in range(count):
-            heading = poses[first + b, 2] - yaw
+        placed[y + b] = (frame_c * dy - frame_s * dx) / resolution
+        placed[c + b] = heading
+        many += 1 if abs(heading) > MANY_TURNS else 0
+    for b in range(n):
+        placed[c + b], placed[s + b] = cos_sin(placed[c + b])
+    if many > 0:
+        for b in range(n):
+            heading = numbers[begin + np.uintp(3) * b + np.uintp(2)] - yaw
             if abs(heading) > MANY_TURNS:
-                placed[2 * STRIDE + b], placed[3 * STRIDE + b] = math.cos(heading), math.sin(heading)
+                placed[c + b], placed[s + b] = math.cos(heading), math.sin(heading)
 
 
 @kernel

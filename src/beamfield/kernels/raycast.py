@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from beamfield.kernels.elementary import split
 from beamfield.kernels.exact_rays import PARALLEL, Terrain, trace_fan
-from beamfield.kernels.jit import inlined_kernel, integer, kernel
+from beamfield.kernels.jit import inlined_kernel, integer, kernel, wide_vectors
 from beamfield.kernels.placed_poses import BLOCK, STRIDE, place
 
 # Stands for 0 below a fraction in float32: the product of 1 / FLAT with any distance in a grid is finite.
@@ -193,6 +193,7 @@ def _cast_block(
 
     Doubtful rays get the range -1. Returns the number of free places in the pool and the number of doubtful rays.
     """
+    wide_vectors()
     block, pool, owner, free, chosen, index, size, alive = scratch
     ray, state, base = block
     n = _whole_vectors(count)
@@ -290,6 +291,7 @@ def _result(ray: Floats, state: NDArray[np.float32], j: int, terrain: Terrain) -
 @kernel
 def _start(lanes: Lanes, terrain: Terrain, n: int) -> None:
     """Set up the state of the first n rays of a block, in float32; see DOUBT_PER_CELL."""
+    wide_vectors()
     ray, state, base = lanes
     # A loop of its own: with float64 in it, the next would have half as many lanes in a vector.
     for j in range(n):
@@ -337,6 +339,7 @@ def _walk(state: NDArray[np.float32], base: NDArray[np.int32], index: NDArray[np
           alive: NDArray[np.uint8], table: NDArray[np.uint16], width: int, steps: int,
           n: int) -> None:  # fmt: skip
     """Let the first n rays jump `steps` times; say which are still under way."""
+    wide_vectors()
     for j in range(n):
         index[j] = base[j] + np.int32(state[ROW + j]) * np.int32(width) + np.int32(state[COL + j])
     for j in range(n):

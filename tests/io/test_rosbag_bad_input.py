@@ -361,12 +361,38 @@ def test_stamps_that_run_backwards(tmp_path):
         np.r_[0.0:10.0:0.1, 9.0:20.0:0.1],  # a clock that was set back by a second
         np.r_[0.0:10.0:0.1, 9.3:20.0:0.3],  # so few scans a second that only the first is late
         np.ravel(np.column_stack([np.r_[1.0:10.0:0.1], np.r_[0.0:9.0:0.1]])),  # two publishers
-        np.r_[50.0:60.0:0.1, 0.0, 60.0:70.0:0.1],  # a scan without a stamp
+        np.r_[50.0:60.0:0.1, np.zeros(5), 60.0:70.0:0.1],  # several scans without a stamp
+        np.where(np.arange(200) % 10 == 5, 99.0, np.r_[0.0:20.0:0.1]),  # a stamp in ten is wrong
     ],
 )
 def test_stamps_of_a_clock_that_is_wrong(stamps):
     with pytest.raises(FormatError, match="the stamps run backwards"):
         ordered_stamps(stamps, Path("bag"), "/scan", [])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "stamp"), [(0, 99.0), (100, 99.0), (100, 25.0), (198, 99.0), (100, 0.0), (199, 0.0), (100, -1e9)]
+)
+def test_few_messages_whose_stamps_alone_are_wrong_are_left_out(wrong, stamp):
+    stamps, notes = np.r_[50.0:70.0:0.1][:200] - 40.0, []
+    stamps[wrong] = stamp
+    found, order = ordered_stamps(stamps, Path("bag"), "/scan", notes)
+    rest = np.delete(np.arange(200), wrong)
+    assert order.tolist() == rest.tolist()
+    assert found.tolist() == stamps[rest].tolist()
+    (note,) = notes
+    assert f"1 of 200 messages left out, whose stamps alone are wrong (message {wrong + 1}: {stamp:.6f} s" in note
+
+
+def test_a_scan_and_a_pose_whose_stamps_alone_are_wrong_are_left_out(tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 1.0, static=True)
+    for i in range(8):
+        bag.scan(1e9 if i == 4 else 1.0 + i, [2.0 + 0.1 * i] * 3, recorded=1.0 + i)
+        message = bag.pose(0.0 if i == 3 else 20.0 + i, (float(i), 0.0)).messages.pop()
+        bag.add(message[0], message[1], message[3], 1.0 + i)
+    log = read_bag(bag.write(tmp_path))
+    assert log.only_sensor().ranges[:, 0].round(3).tolist() == [2.0, 2.1, 2.2, 2.3, 2.5, 2.6, 2.7]
+    assert sum("left out, whose stamps alone are wrong" in note for note in log.notes) == 2
 
 
 def test_poses_whose_stamps_run_backwards(tmp_path):

@@ -222,7 +222,7 @@ class LaserScanCollector:
             )
         recorded = np.array(self._recorded)
         stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, self._notes, recorded)
-        ranges = ranges if (np.diff(order) > 0).all() else ranges[order]
+        ranges = ranges if np.array_equal(order, np.arange(len(ranges))) else ranges[order]
         self._notes += [f"{self.topic}: {note}" for note in gridded.notes]
         at_once = np.flatnonzero(np.diff(stamps) == 0.0)
         if repeated := sum(np.array_equal(ranges[i], ranges[i + 1], equal_nan=True) for i in at_once):
@@ -317,11 +317,12 @@ def is_one_of(ranges: FloatArray, values: Iterable[float]) -> NDArray[np.bool_]:
 def ordered_stamps(
     stamps: FloatArray, path: Path, topic: str, notes: list[str], recorded: FloatArray | None = None
 ) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return stamps (t,) sorted, and the order that sorts them.
+    """Return the stamps of t messages sorted, and the indices of these messages.
 
     Times of recording (t,) replace stamps that are all equal, with a note. Messages may overtake each other on the way
-    to the recorder: that is sorted, and a note added that says so. A clock that runs backwards, by more than
-    `STAMP_TOLERANCE` at more than few single messages, is a FormatError.
+    to the recorder: that is sorted, and a note added that says so. Few with a stamp that is wrong alone are left out,
+    with a note. A clock that runs backwards, by more than `STAMP_TOLERANCE` at more than few single messages, is a
+    FormatError.
     """
     if recorded is not None and len(stamps) > 1 and (stamps == stamps[0]).all():
         notes.append(
@@ -329,6 +330,16 @@ def ordered_stamps(
             "messages: the driver, or the node that makes them, has to stamp them"
         )
         stamps = recorded
+    stray = _stray(stamps)
+    if stray.any():
+        wrong = int(np.argmax(stray))
+        neighbour = stamps[wrong + 1 if wrong + 1 < len(stamps) else wrong - 1]
+        notes.append(
+            f"{topic}: {stray.sum()} of {len(stamps)} messages left out, whose stamps alone are wrong (message "
+            f"{wrong + 1}: {stamps[wrong]:.6f} s, beside one of {neighbour:.6f} s)"
+        )
+    kept = np.flatnonzero(~stray)
+    stamps = stamps[kept]
     latest = np.maximum.accumulate(stamps)
     behind = latest - stamps
     late = behind > STAMP_TOLERANCE
@@ -338,7 +349,7 @@ def ordered_stamps(
         raise FormatError(
             path,
             f"the stamps run backwards, from {latest[where - 1]:.6f} to {stamps[where]:.6f} s; cut the bag there",
-            field=f"{topic}, message {where + 1}",
+            field=f"{topic}, message {kept[where] + 1}",
         )
     swapped = int(np.count_nonzero(behind))
     if swapped:
@@ -347,4 +358,17 @@ def ordered_stamps(
             "and are sorted by their stamps"
         )
     order = np.argsort(stamps, kind="stable")
-    return stamps[order], order
+    return stamps[order], kept[order]
+
+
+def _stray(stamps: FloatArray) -> NDArray[np.bool_]:
+    """Return which messages (t,) are stamped out of order while their neighbours are in order; none if that is common.
+
+    After a clock was set the neighbours are not, and a message that another has overtaken is behind one alone.
+    """
+    before, after = np.append(-np.inf, stamps[:-1]), np.append(stamps[1:], np.inf)
+    between = before <= after
+    ahead = between & (stamps - after > STAMP_TOLERANCE) & (stamps > np.append(stamps[2:], [-np.inf, -np.inf])[: len(stamps)])
+    behind = between & (before - stamps > LATEST) & ~np.append(False, ahead[:-1])
+    stray: NDArray[np.bool_] = ahead | behind
+    return stray & (stray.sum() <= max(1.0, LATE_SHARE * len(stamps)))

@@ -226,6 +226,31 @@ def test_odometry_is_that_of_the_topic_called_so_in_the_frame_that_it_names(tmp_
     assert read_bag(bag.write(tmp_path, "frames")).only_sensor().odometry[0, 0] == 8.0
 
 
+@pytest.mark.parametrize(
+    ("stamps", "why"), [([], "is static"), ([0.0] * 20, "has one stamp, 0")], ids=["static", "not stamped"]
+)
+def test_a_map_that_odometry_does_not_move_in_is_no_reference(tmp_path, stamps, why):
+    bag = MiniBag().tf("base_link", "laser", 0.0, static=True)
+    if stamps == []:
+        bag.tf("map", "odom", 0.0, static=True)
+    for i in range(20):
+        bag.scan(1.0 + 0.1 * i).tf("odom", "base_link", 0.95 + 0.1 * i, (0.1 * i, 0.0, 0.0))
+    for i, stamp in enumerate(stamps):
+        bag.tf("map", "odom", stamp, (0.01 * i, 0.0, 0.0), recorded=1.0 + 0.1 * i)
+    path = bag.write(tmp_path, "alone")
+    log = read_bag(path)
+    note = f"/tf from 'map' to 'odom' {why}: odometry alone, no reference (if it is exact, give map_frame)"
+    assert note in log.notes
+    assert "reference poses: none in this bag" in log.notes
+    assert np.isnan(log.only_sensor().poses).all()
+    if not stamps:
+        assert np.isfinite(read_bag(path, map_frame="map").only_sensor().poses[:-1]).all()
+    for i in range(20):
+        bag.pose(1.0 + 0.1 * i, (5.0 + 0.1 * i, 0.0))
+    poses = read_bag(bag.write(tmp_path, "amcl")).only_sensor().poses
+    assert poses[:, 0] == pytest.approx(5.0 + 0.1 * np.arange(20))
+
+
 def test_a_pose_topic_that_was_asked_for_goes_before_tf(tmp_path):
     bag = drive(MiniBag())
     for time in (0.0, 0.1, 0.2):

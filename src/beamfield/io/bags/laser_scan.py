@@ -199,6 +199,9 @@ class LaserScanCollector:
         self._recorded.append(message.recorded)
         self._ranges.append(ranges)
 
+    def __len__(self) -> int:
+        return len(self._stamps)
+
     def finish(self) -> LaserScans:
         """Return the scans, sorted by their stamps.
 
@@ -368,7 +371,11 @@ def _stray(stamps: FloatArray) -> NDArray[np.bool_]:
     """
     before, after = np.append(-np.inf, stamps[:-1]), np.append(stamps[1:], np.inf)
     between = before <= after
-    ahead = between & (stamps - after > STAMP_TOLERANCE) & (stamps > np.append(stamps[2:], [-np.inf, -np.inf])[: len(stamps)])
+    ahead = (
+        between
+        & (stamps - after > STAMP_TOLERANCE)
+        & (stamps > np.append(stamps[2:], [-np.inf, -np.inf])[: len(stamps)])
+    )
     behind = between & (before - stamps > LATEST) & ~np.append(False, ahead[:-1])
     stray: NDArray[np.bool_] = ahead | behind
     return stray & (stray.sum() <= max(1.0, LATE_SHARE * len(stamps)))

@@ -56,6 +56,9 @@ class RawDataCollector:
         self._stamps.append(message.stamp)
         self._rows.append(raw.tolist())
 
+    def __len__(self) -> int:
+        return len(self._stamps)
+
     def table(self, notes: list[str]) -> tuple[FloatArray, FloatArray]:
         """Return stamps (t,) in order and the numbers (t, width)."""
         stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, notes)

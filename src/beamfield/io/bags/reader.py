@@ -210,9 +210,9 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None,
             scans.append(lasers[topic].finish())
     counts = bag.counts
     notes = [
-        f"{s.topic}: the bag declares {counts[s.topic]} messages, but has {len(s.stamps)}"
-        for s in scans
-        if counts[s.topic] != len(s.stamps)
+        f"{topic}: the bag declares {counts[topic]} messages, but has {len(collectors[topic])}"
+        for topic in scan_topics
+        if counts[topic] != len(collectors[topic])
     ]
     if bag.n_files > 1 and bag.path.is_file():
         notes.append(f"{bag.path.name} is one of {bag.n_files} files of a bag: all of them were read")

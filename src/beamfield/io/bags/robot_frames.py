@@ -51,10 +51,13 @@ class Odometry:
         Returns the poses (n, 3) at given times (n,), NaN where they are not known.
     track
         The odometry at its own rate; None if there is none.
+    frame
+        Its frame in /tf; "" if it is not from there.
     """
 
     at: Callable[[FloatArray], FloatArray]
     track: Track | None
+    frame: str = ""
 
 
 def choose_base(content: BagContent, asked: str | None, mount_given: bool) -> str:
@@ -209,7 +212,7 @@ def find_odometry(content: BagContent, base: str, notes: list[str]) -> Odometry:
             def in_tf(when: FloatArray, frame: str = frame) -> FloatArray:
                 return frames.look_up(frame, base, when, max_gap=MAX_GAP).planar()
 
-            return Odometry(in_tf, Track(track.stamps[known], track.poses[known]))
+            return Odometry(in_tf, Track(track.stamps[known], track.poses[known]), frame)
     if topic is not None and len(topic):
         track = in_base_frame(topic.track(notes), _child_from_base(content, topic, base, notes))
         notes.append(f"odometry: topic {topic.topic}")
@@ -282,15 +285,20 @@ def find_reference(content: BagContent, base: str, poses_topic: str | None, map_
                notes: list[str]) -> Callable[[FloatArray], FloatArray]:  # fmt: skip
     """Return what gives the reference poses (n, 3) at given times (n,); NaN where they are not known.
 
-    The user names a topic or the map's frame; None to choose: /tf with a map, then a topic that `says_truth`. Odometry
-    bridges the time between sparse poses. InvalidInputError if the map's frame is not there, FormatError if the frames
-    do not connect, or the poses are not poses.
+    The user names a topic or the map's frame; None to choose: /tf with a map in which the odometry's frame moves, then
+    a topic that `says_truth`. Odometry bridges the time between sparse poses. InvalidInputError if the map's frame is
+    not there, FormatError if the frames do not connect, or the poses are not poses.
     """
     frames = content.frames
     if poses_topic is not None:
         return _reference_topic(content, content.pose_topics[poses_topic], base, odometry, notes)
     frame = _map_frame(content, base, map_frame, notes)
-    if frame is not None:
+    fixed = "" if frame is None or map_frame is not None else _why_odometry_alone(frames, frame, odometry.frame)
+    if fixed:
+        notes.append(
+            f"/tf from {frame!r} to {odometry.frame!r} {fixed}: odometry alone, no reference (if it is exact, give map_frame)"
+        )
+    elif frame is not None:
         notes.append(f"reference poses: /tf from {frame!r} to {base!r}")
         return lambda when: frames.look_up(frame, base, when, max_gap=MAX_GAP).planar()
     topics = _own_pose_topics(content, base)
@@ -331,6 +339,14 @@ def _map_frame(content: BagContent, base: str, asked: str | None, notes: list[st
             return frame
         notes.append(f"the frame {frame!r} is not connected to {base!r}; the log has {frames.describe()}")
     return None
+
+
+def _why_odometry_alone(frames: TransformBuffer, map_frame: str, odometry_frame: str) -> str:
+    """Return why what /tf says of the robot in the map is its odometry; "" if it is not."""
+    if not odometry_frame or not frames.connected(map_frame, odometry_frame):
+        return ""
+    stamps = frames.stamps_between(map_frame, odometry_frame)
+    return "is static" if len(stamps) == 0 else f"has one stamp, {stamps[0]:.10g}" if len(stamps) == 1 else ""
 
 
 def _reference_topic(content: BagContent, topic: PoseTopicCollector, base: str, odometry: Odometry,

@@ -226,6 +226,23 @@ def test_odometry_is_that_of_the_topic_called_so_in_the_frame_that_it_names(tmp_
     assert read_bag(bag.write(tmp_path, "frames")).only_sensor().odometry[0, 0] == 8.0
 
 
+def test_the_parts_of_a_ros1_bag_that_was_split_are_read_as_one(tmp_path):
+    parts, whole = tmp_path / "parts", MiniBag("ros1").tf("base_link", "laser", 0.0, static=True)
+    parts.mkdir()
+    for part in range(11):
+        bag = MiniBag("ros1")
+        if part == 0:
+            bag.tf("base_link", "laser", 0.0, static=True)
+        for i in range(3):
+            for either in (bag, whole):
+                either.scan(part + 0.1 * i, [1.0 + part + 0.1 * i] * 3).odometry(part + 0.1 * i, (part + 0.1 * i, 0.0))
+        bag.write(parts, f"drive_2026-01-01-10-{part:02}-00_{part}")
+    together, alone = read_bag(parts).only_sensor(), read_bag(whole.write(tmp_path)).only_sensor()
+    assert together.stamps.tolist() == alone.stamps.tolist()
+    assert np.array_equal(together.ranges, alone.ranges)
+    assert np.array_equal(together.odometry, alone.odometry, equal_nan=True)
+
+
 @pytest.mark.parametrize(
     ("stamps", "why"), [([], "is static"), ([0.0] * 20, "has one stamp, 0")], ids=["static", "not stamped"]
 )

@@ -51,7 +51,16 @@ def test_a_missing_file_passes_through(tmp_path):
 
 def test_a_folder_that_is_no_bag(tmp_path):
     (tmp_path / "photos").mkdir()
-    refuse(tmp_path / "photos", "not a ROS 2 bag.*metadata.yaml")
+    refuse(tmp_path / "photos", "not a bag: no metadata.yaml")
+
+
+def test_ros1_bags_that_are_no_parts_of_one(tmp_path):
+    for name in ("run_0", "run_2"):
+        MiniBag("ros1").scan(1.0).write(tmp_path, name)
+    refuse(tmp_path, "expected the parts of one bag, .*, got run_0.bag, run_2.bag; name one of the files")
+    MiniBag("ros1").scan(1.0).write(tmp_path, "run_1")
+    MiniBag("ros1").scan(1.0).write(tmp_path, "other")
+    refuse(tmp_path, "got other.bag, run_0.bag, run_1.bag, run_2.bag")
 
 
 def test_messages_that_a_database_holds_beside_itself_are_not_lost(tmp_path):

@@ -29,8 +29,8 @@ from beamfield.sensors import ScanLog
 
 SUPPORTED = (
     "CARMEN (FLASER, RLASER, ROBOTLASERn, RAWLASERn), Wean Hall O and L lines, GMapping .gfs, .g2o with ROBOTLASER1, "
-    "CoreSLAM .dat (each plain or gzip), a folder with measurement.txt and poses.txt, ROS 1 .bag, ROS 2 folders, .db3 "
-    "and .mcap"
+    "CoreSLAM .dat (each plain or gzip), a folder with measurement.txt and poses.txt, ROS 1 .bag (or the folder of one "
+    "that was split), ROS 2 folders, .db3 and .mcap"
 )
 
 # The first line of a range table; its module would load the numerical libraries.

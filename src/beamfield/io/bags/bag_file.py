@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -68,8 +69,9 @@ class BagFile:
     Parameters
     ----------
     path
-        A ROS 1 ``.bag``; a ROS 2 folder (with ``metadata.yaml``, or without, as a crash leaves it); or one ``.db3``
-        or ``.mcap`` file, in which case the folder around it is read if its metadata lists the file.
+        A ROS 1 ``.bag``, or the folder of all parts of one that was split; a ROS 2 folder (with ``metadata.yaml``, or
+        without, as a crash leaves it); or one ``.db3`` or ``.mcap`` file, in which case the folder around it is read if
+        its metadata lists the file.
 
     Raises
     ------
@@ -99,7 +101,8 @@ class BagFile:
             self.n_files = len(paths)
             self._reader = stack.enter_context(_reader(paths))
             if not self._reader.is2:
-                limit_chunks(self._reader.readers[0], self.path)
+                for reader, path in zip(self._reader.readers, paths, strict=True):
+                    limit_chunks(reader, path)
             self._check_topics()
             self._stack = stack.pop_all()
         return self
@@ -330,11 +333,22 @@ def _without_metadata(folder: Path) -> list[Path]:
         for file, storage in plain.items()
         if storage.suffix in (".db3", ".mcap") and file.is_file() and (file == storage or storage not in plain)
     ]
-    if not files:
+    return files or _parts_of_ros1(folder)
+
+
+def _parts_of_ros1(folder: Path) -> list[Path]:
+    """Return the files of a folder that `rosbag record --split` has numbered from 0 on, in their order."""
+    numbers = {file: re.search(r"_(\d+)\.bag$", file.name) for file in folder.glob("*.bag")}
+    parts = {int(number[1]): file for file, number in numbers.items() if number}
+    if not numbers:
+        raise FormatError(folder, f"not a bag: no {METADATA}, .db3, .mcap or .bag file in it; name a file")
+    if len(parts) < len(numbers) or sorted(parts) != list(range(len(parts))):
         raise FormatError(
-            folder, f"not a ROS 2 bag: no {METADATA}, .db3 or .mcap file in the folder; name a file in it"
+            folder,
+            f"expected the parts of one bag, ..._0.bag and so on, got {', '.join(sorted(f.name for f in numbers))}; "
+            "name one of the files",
         )
-    return files
+    return [parts[i] for i in range(len(parts))]
 
 
 def _listed_in_metadata(file: Path) -> bool:
@@ -376,9 +390,7 @@ def _speaking_of(path: Path, field: str | None = None) -> Iterator[None]:
 
 
 def _damaged(path: Path, error: Exception, field: str | None) -> FormatError:
-    text = " ".join(str(error).split())
+    text = " ".join(str(error).split())[:300] or ("" if isinstance(error, AssertionError) else type(error).__name__)
     repair = repair_of(path)
     mend = f"; `{repair}` may save what is left" if repair else ""
-    return FormatError(
-        path, f"the bag is damaged or truncated: {text[:300] or type(error).__name__}{mend}", field=field
-    )
+    return FormatError(path, f"the bag is damaged or truncated{': ' if text else ''}{text}{mend}", field=field)

@@ -377,5 +377,5 @@ def _stray(stamps: FloatArray) -> NDArray[np.bool_]:
         & (stamps > np.append(stamps[2:], [-np.inf, -np.inf])[: len(stamps)])
     )
     behind = between & (before - stamps > LATEST) & ~np.append(False, ahead[:-1])
-    stray: NDArray[np.bool_] = ahead | behind
-    return stray & (stray.sum() <= max(1.0, LATE_SHARE * len(stamps)))
+    stray = ahead | behind
+    return stray if stray.sum() <= max(1.0, LATE_SHARE * len(stamps)) else np.zeros(len(stamps), dtype=bool)

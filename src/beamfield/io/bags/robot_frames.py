@@ -296,7 +296,8 @@ def find_reference(content: BagContent, base: str, poses_topic: str | None, map_
     fixed = "" if frame is None or map_frame is not None else _why_odometry_alone(frames, frame, odometry.frame)
     if fixed:
         notes.append(
-            f"/tf from {frame!r} to {odometry.frame!r} {fixed}: odometry alone, no reference (if it is exact, give map_frame)"
+            f"/tf from {frame!r} to {odometry.frame!r} {fixed}: odometry alone, no reference (if it is exact, give "
+            "map_frame)"
         )
     elif frame is not None:
         notes.append(f"reference poses: /tf from {frame!r} to {base!r}")

@@ -226,6 +226,19 @@ def test_odometry_is_that_of_the_topic_called_so_in_the_frame_that_it_names(tmp_
     assert read_bag(bag.write(tmp_path, "frames")).only_sensor().odometry[0, 0] == 8.0
 
 
+@pytest.mark.parametrize(
+    ("xyz", "yaw", "said"), [((0.1, 0.0, 0.0), 0.0, False), ((0.3, 0.0, 0.0), 0.0, True), ((0.1, 0.0, 0.0), 0.1, True)]
+)
+def test_a_mount_that_two_nodes_publish_with_other_values_is_said(tmp_path, xyz, yaw, said):
+    # Quaternions need not have the length 1 to the last digit.
+    bag = MiniBag().tf("base_link", "laser", 1.0, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0, 0.995), static=True).scan(1.0)
+    bag.tf("base_link", "laser", 1.1, xyz, quaternion(yaw=yaw), static=True)
+    log = read_bag(bag.write(tmp_path))
+    assert log.only_sensor().finder.mounts[1] == pytest.approx([xyz[0], 0.0, yaw])
+    note = "/scan: /tf_static from 'base_link' to 'laser' was published with several values"
+    assert any(note in found for found in log.notes) == said
+
+
 def test_the_parts_of_a_ros1_bag_that_was_split_are_read_as_one(tmp_path):
     parts, whole = tmp_path / "parts", MiniBag("ros1").tf("base_link", "laser", 0.0, static=True)
     parts.mkdir()

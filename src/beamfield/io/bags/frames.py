@@ -14,6 +14,9 @@ from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, yaw_from_quaternion
 
 QUATERNION_TOLERANCE = 0.01  # tf2 refuses quaternions whose length is further than this from 1
+# Static transforms that differ by more, metres in one axis and 1 - cos of half an angle (2 degrees), contradict each
+# other.
+SAME_PLACE, SAME_HEADING = 0.005, 1.5e-4
 FARTHEST = 1e9  # metres; what lies further away is a damaged number, and overflows when transforms are multiplied
 
 
@@ -157,6 +160,11 @@ class TransformBuffer:
         chain = self._chain(target, source) or []
         return self.stamps_between(*chain[:2]) if len(chain) > 1 else np.empty(0)
 
+    def contradictions(self, target: str, source: str) -> list[str]:
+        """Return in words which transforms on the chain hold at all times, but were published with several values."""
+        links = [(a, b) if (a, b) in self._edges else (b, a) for a, b in pairwise(self._chain(target, source) or [])]
+        return [f"{a!r} to {b!r}" for a, b in links if self._edge((a, b)).contradicts_itself]
+
     def _edge(self, key: tuple[str, str]) -> _Edge:
         edge = self._edges[key]
         edge.settle()
@@ -234,6 +242,7 @@ class _Edge:
     fault: str = ""
     place: str = ""
     depth: int = 0
+    contradicts_itself: bool = False
     stamps: FloatArray = field(default_factory=lambda: np.empty(0))
     _samples: list[tuple[float, ...]] = field(default_factory=list)
     _places: list[str] = field(default_factory=list)
@@ -260,13 +269,16 @@ class _Edge:
             row, self.fault = bad
             self.place = self._places[row]
             return
+        table[:, 4:] /= np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
         if self.static:
+            apart = np.abs(table[:, 1:4] - table[-1, 1:4]).max()
+            turned = 1.0 - np.abs(table[:, 4:] @ table[-1, 4:]).min()
+            self.contradicts_itself = bool(apart > SAME_PLACE or turned > SAME_HEADING)
             table = table[-1:]
         order = np.argsort(table[:, 0], kind="stable")
         table = table[order]
         last = np.append(np.diff(table[:, 0]) > 0, True)
         self.stamps, self._values = table[last, 0], table[last, 1:]
-        self._values[:, 3:] /= np.linalg.norm(self._values[:, 3:], axis=1, keepdims=True)
 
     def at(self, when: FloatArray, max_gap: float, hold: bool) -> Transforms:
         times, values = self.stamps, self._values

@@ -134,6 +134,11 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
                 "not, give mount"
             )
         return compose(np.zeros(3), in_sensor)
+    notes += [
+        f"{scans.topic}: /tf_static from {link} was published with several values; the last counts here, as in tf2: do "
+        "two nodes publish it?"
+        for link in content.frames.contradictions(base, sensor)
+    ]
     found = content.frames.look_up(base, sensor, scans.stamps, hold=True)
     position, rotation = np.median(found.translation, axis=0), found.rotation[0]
     _check_fixed(content, scans.topic, sensor, base, found)

@@ -257,11 +257,17 @@ def test_the_parts_of_a_ros1_bag_that_was_split_are_read_as_one(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("stamps", "why"), [([], "is static"), ([0.0] * 20, "has one stamp, 0")], ids=["static", "not stamped"]
+    ("static", "stamps", "why"),
+    [
+        (True, [], "is static"),
+        (False, [0.0] * 20, "has one stamp, 0"),
+        (True, [*range(20)], "is static, but was published with several values (do two nodes publish it?)"),
+    ],
+    ids=["static", "not stamped", "both"],
 )
-def test_a_map_that_odometry_does_not_move_in_is_no_reference(tmp_path, stamps, why):
+def test_a_map_that_odometry_does_not_move_in_is_no_reference(tmp_path, static, stamps, why):
     bag = MiniBag().tf("base_link", "laser", 0.0, static=True)
-    if stamps == []:
+    if static:
         bag.tf("map", "odom", 0.0, static=True)
     for i in range(20):
         bag.scan(1.0 + 0.1 * i).tf("odom", "base_link", 0.95 + 0.1 * i, (0.1 * i, 0.0, 0.0))

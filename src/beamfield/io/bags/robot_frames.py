@@ -351,6 +351,8 @@ def _why_odometry_alone(frames: TransformBuffer, map_frame: str, odometry_frame:
     """Return why what /tf says of the robot in the map is its odometry; "" if it is not."""
     if not odometry_frame or not frames.connected(map_frame, odometry_frame):
         return ""
+    if frames.contradictions(map_frame, odometry_frame):
+        return "is static, but was published with several values (do two nodes publish it?)"
     stamps = frames.stamps_between(map_frame, odometry_frame)
     return "is static" if len(stamps) == 0 else f"has one stamp, {stamps[0]:.10g}" if len(stamps) == 1 else ""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import atexit
 import gc
@@ -9,6 +10,7 @@ import importlib
 import io
 import os
 import sys
+import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -50,6 +52,7 @@ INTERNAL_ERROR = 70
 # New objects between two searches for garbage, where Python's 700 or 2,000 cost a twelfth of a command's time: imports
 # and Numba's compiler make millions of objects that stay.
 OBJECTS_PER_COLLECTION = 50_000
+INTERRUPT_AGAIN_S = 0.01
 
 
 def build_parser() -> Parser:
@@ -84,6 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         gc.set_threshold(OBJECTS_PER_COLLECTION, *gc.get_threshold()[1:])
         # Else Python would look through all modules for garbage before it ends, another twentieth.
         atexit.register(gc.freeze)
+        sys.unraisablehook = _interrupt_again
     parser = build_parser()
     if "_ARGCOMPLETE" in os.environ:  # the shell asks how a word goes on
         importlib.import_module("argcomplete").autocomplete(parser)
@@ -120,6 +124,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         hint = "" if parsed.verbose else "; -v shows where"
         return _fail(f"internal error, please report it: {type(error).__name__}: {error}{hint}", INTERNAL_ERROR)
+
+
+def _interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
+    """Raise a Ctrl-C once more that came in a destructor, as the compiler has: Python would print it and go on."""
+    if unraisable.exc_type is KeyboardInterrupt:
+        # From outside, and later: what is raised in here is printed as well.
+        threading.Timer(INTERRUPT_AGAIN_S, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 @contextmanager

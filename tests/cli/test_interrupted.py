@@ -1,30 +1,36 @@
-"""Ctrl-C ends a command, wherever it comes."""
+"""Ctrl-C and SIGTERM end a command in order, wherever they come."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 
+import pytest
+
 # The compiler's objects have destructors, in which Python prints an exception and goes on.
 IN_A_DESTRUCTOR = """
-import sys
-from beamfield.cli import main, precompute
-
 class Held:
     def __del__(self):
         raise KeyboardInterrupt
+Held()
+"""
+SIGTERM = "os.kill(os.getpid(), signal.SIGTERM)"
+COMMAND = """
+import os, signal, sys
+from beamfield.cli import main, precompute
 
 def run(arguments):
-    Held()
+    exec(how)
     for _ in range(10**8):
         pass
 
 precompute.run = run
-sys.argv = "beamfield precompute map.yaml --max-range 5".split()
+how, sys.argv = sys.argv[1], "beamfield precompute map.yaml --max-range 5".split()
 sys.exit(main.main())
 """
 
 
-def test_an_interrupt_in_a_destructor_is_not_lost():
-    done = subprocess.run([sys.executable, "-c", IN_A_DESTRUCTOR], capture_output=True, text=True)
+@pytest.mark.parametrize("how", [IN_A_DESTRUCTOR, SIGTERM])
+def test_a_command_is_interrupted(how):
+    done = subprocess.run([sys.executable, "-c", COMMAND, how], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (130, "beamfield: error: interrupted\n")

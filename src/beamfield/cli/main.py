@@ -9,6 +9,7 @@ import gc
 import importlib
 import io
 import os
+import signal
 import sys
 import threading
 import traceback
@@ -88,6 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Else Python would look through all modules for garbage before it ends, another twentieth.
         atexit.register(gc.freeze)
         sys.unraisablehook = _interrupt_again
+        # As Ctrl-C, lest files stay behind that bags are unpacked into.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     parser = build_parser()
     if "_ARGCOMPLETE" in os.environ:  # the shell asks how a word goes on
         importlib.import_module("argcomplete").autocomplete(parser)

@@ -95,6 +95,20 @@ def test_a_dash_is_no_name_of_an_output(place, words, capsys):
     assert not (place / "-").exists()
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["calibrate", "drive.txt", "--out=~/out"],
+        ["precompute", "hall.yaml", "--out=~"],
+        ["localize", "drive.txt", "--mcap=~/a.mcap"],
+    ],
+)
+def test_the_home_folder_is_not_made_where_the_shell_left_its_short_name(place, words, capsys):
+    assert main(words) == 2
+    assert "only the shell knows ~, and not after =: write $HOME" in capsys.readouterr().err
+    assert not (place / "~").exists()
+
+
 @pytest.fixture
 def bag(place: Path) -> Path:
     """A folder with two recordings that its metadata lists; none is ever read."""

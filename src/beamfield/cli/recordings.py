@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beamfield.cli.options import check_output
+from beamfield.cli.options import check_output, output_file
 from beamfield.errors import InvalidInputError, MissingDependencyError
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ KINDS = (("rerun", ".rrd", "rerun", "rerun-sdk", "rerun"), ("mcap", ".mcap", "ro
 def add_recordings(parser: argparse.ArgumentParser) -> None:
     """Add --rerun and --mcap."""
     group = parser.add_argument_group("recordings, to look at over time")
-    group.add_argument("--rerun", type=Path, metavar="FILE", help="write an .rrd for the Rerun viewer")
-    group.add_argument("--mcap", type=Path, metavar="FILE", help="write an .mcap for Foxglove or RViz")
+    group.add_argument("--rerun", type=output_file, metavar="FILE", help="write an .rrd for the Rerun viewer")
+    group.add_argument("--mcap", type=output_file, metavar="FILE", help="write an .mcap for Foxglove or RViz")
 
 
 def wants_recording(arguments: argparse.Namespace) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -52,8 +53,11 @@ def test_intervals_hold_what_exact_poses_teach_only_with_the_error_of_the_poses(
 
 
 def test_poses_without_error_leave_intervals_as_they_are(log: bf.SensorLog, grid: bf.OccupancyGrid):
-    same = bf.calibrate(log, grid, OPTIONS, covariances=np.zeros((len(log), 3, 3)))
+    stages: list[str] = []
+    none = np.zeros((len(log), 3, 3))
+    same = bf.calibrate(log, grid, OPTIONS, covariances=none, progress=lambda stage, *_: stages.append(stage))
     assert same.intervals.intervals == bf.calibrate(log, grid, OPTIONS).intervals.intervals
+    assert len(list(groupby(stages))) == len(set(stages))  # no stage comes again
 
 
 def test_the_second_error_has_the_covariance_of_the_first(log: bf.SensorLog):

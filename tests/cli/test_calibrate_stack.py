@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.pose_windows import WindowOptions
+from beamfield.cli.calibrate_replay import _cache_folder
 from beamfield.cli.calibrate_stack import _fits, _motion_for_new_file, _said, fit_for_stack, next_step, write_patch
 from beamfield.cli.main import main
 from beamfield.cli.report_part import StackPart
@@ -24,6 +25,7 @@ from beamfield.stacks.files.calibration_record import goes_with_moved_map
 from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
+from beamfield.stacks.fit.kept_runs import kept_runs
 from beamfield.stacks.nav2.motion import Nav2Motion
 from tests.cli.simulated import on_map, simulated
 
@@ -378,3 +380,12 @@ def test_motion_noise_that_a_file_has_no_place_for_is_said():
     said = "motion noise to go with it, not written: it belongs under motion_model_2d of mrpt_pf_localization, beside "
     assert _said("mrpt", {"a1": 0.02, "a4": 0.1}) == [f"{said}modelSelection: a1 = 0.02, a4 = 0.1"]
     assert _said("mrpt", {}) == _said("beluga", {"alpha1": 0.02}) == []
+
+
+def test_nothing_is_kept_for_a_user_without_a_home(monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.setattr("os.getuid", lambda: 2**31 - 7)
+    with kept_runs(_cache_folder(), "inputs") as kept:
+        kept.write()
+    assert not _cache_folder().exists()

@@ -93,3 +93,53 @@ def test_a_dash_is_no_name_of_an_output(place, words, capsys):
     assert main([*words, "--out", "-"]) == 2
     assert "expected a name, not stdout" in capsys.readouterr().err
     assert not (place / "-").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["calibrate", "drive.txt", "--out=~/out"],
+        ["precompute", "hall.yaml", "--out=~"],
+        ["localize", "drive.txt", "--mcap=~/a.mcap"],
+    ],
+)
+def test_the_home_folder_is_not_made_where_the_shell_left_its_short_name(place, words, capsys):
+    assert main(words) == 2
+    assert "only the shell knows ~, and not after =: write $HOME" in capsys.readouterr().err
+    assert not (place / "~").exists()
+
+
+@pytest.fixture
+def bag(place: Path) -> Path:
+    """A folder with two recordings that its metadata lists; none is ever read."""
+    folder = place / "bag"
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text("relative_file_paths: [bag_0.mcap, bag_1.mcap]")
+    for name in ("bag_0.mcap", "bag_1.mcap"):
+        (folder / name).write_text("never read")
+    return folder
+
+
+@pytest.mark.parametrize("log", ["bag", "bag/bag_0.mcap"])
+@pytest.mark.parametrize(
+    ("command", "options"), [("localize", []), ("check", []), ("calibrate", []), ("evaluate", ["--params", "seen.csv"])]
+)
+def test_a_recording_replaces_no_file_of_the_bag_that_is_read(bag, command, options, log, capsys):
+    assert main([command, log, "--map", "hall.yaml", *options, "--mcap", "bag/bag_1.mcap"]) == 2
+    assert "bag_1.mcap: this is read as input and would be replaced" in capsys.readouterr().err
+    assert (bag / "bag_1.mcap").read_text() == "never read"
+
+
+@pytest.mark.parametrize("log", ["bag", "bag/bag_0.mcap"])
+def test_a_recording_is_not_put_among_those_of_the_log(bag, log, capsys):
+    assert main(["localize", log, "--map", "hall.yaml", "--mcap", "bag/new.mcap"]) == 2
+    assert "bag/new.mcap would lie in the folder of the log, and be read as part of it" in capsys.readouterr().err
+    assert not (bag / "new.mcap").exists()
+
+
+def test_the_poses_of_a_folder_are_not_replaced(place, capsys):
+    (place / "sonars").mkdir()
+    for name in ("measurement.txt", "poses.txt"):
+        (place / "sonars" / name).write_text("never read")
+    assert main(["trajectory", "sonars", "--map", "hall.yaml", "--out", "sonars/poses.txt"]) == 2
+    assert "poses.txt: this is read as input and would be replaced" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import numpy as np
@@ -679,6 +680,12 @@ def test_a_single_file_of_a_bag_and_a_folder_that_lost_its_metadata_are_read(tmp
         (folder / "metadata.yaml").unlink()
         assert len(read_bag(file).only_sensor()) == 2
         assert len(read_bag(folder).only_sensor()) == 2
+
+
+def test_a_file_whose_name_is_not_valid_utf_8_is_read_beside_metadata(tmp_path):
+    file = next(MiniBag("mcap").scan(1.0).write(tmp_path).glob("*.mcap"))
+    renamed = file.rename(file.with_name(os.fsdecode(b"f\xe4.mcap")))
+    assert len(read_bag(renamed).only_sensor()) == 1
 
 
 def test_a_map_is_the_last_one_published_with_its_origin_turned(tmp_path):

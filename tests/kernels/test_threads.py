@@ -51,6 +51,19 @@ def test_several_threads_are_at_work_at_once():
         run_in_blocks(lambda _a, _b: meeting.wait(30.0), 3)
 
 
+@pytest.mark.usefixtures("fresh_pool")
+def test_where_the_system_has_no_more_threads_those_that_are_there_work(monkeypatch):
+    def refuse(*_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("_thread.start_new_thread", refuse)
+    rows = np.zeros(100, int)
+    with forced_threads(10**6):
+        run_in_blocks(lambda start, stop: np.add.at(rows, np.arange(start, stop), 1), len(rows))
+    assert (rows == 1).all()
+    assert threads._jobs.empty()
+
+
 def test_a_caller_whose_helpers_do_not_come_does_all_the_work(monkeypatch):
     monkeypatch.setattr(threads, "_call_for_help", lambda _job, _n: None)
     rows = []

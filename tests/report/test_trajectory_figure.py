@@ -17,7 +17,9 @@ def test_own_poses_that_leave_the_path_are_in_the_picture_as_far_as_the_map_goes
     log = SensorLog(RangeFinder.from_bearings([0.0], max_range=5.0), np.arange(5.0), np.ones((5, 1)), own, way)
     covariances = np.tile(1e-4 * np.eye(3), (5, 1, 1))
     fit = TrajectoryFit(log.stamps, way, covariances, np.ones(5, bool), (), (), 0.05, 0.0, 0.0, 0.0, True)
-    path, distance = draw_fit(fit, log, OccupancyGrid(np.zeros((50, 300)), 0.1), "drive").axes
+    figure = draw_fit(fit, log, OccupancyGrid(np.zeros((50, 300)), 0.1), "a$^$b.carmen")
+    figure.draw_without_rendering()  # no formula, which would be wrong
+    path, distance = figure.axes
     assert path.get_xlim()[0] == pytest.approx(left)
     off = next(line for line in distance.lines if "own position" in line.get_label()).get_ydata()
     np.testing.assert_allclose(off, [0.0, 21.0 - lost_at, np.nan, 0.0, 0.0])

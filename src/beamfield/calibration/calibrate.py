@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -225,7 +225,7 @@ def calibrate(
     selection = thinned(select_scans(log, whole, options.selection), log.finder.n_beams)
 
     # 2. Expected ranges.
-    table, clutter = _cast(log, grid, selection.used, options, report)
+    table, clutter = _cast(log, grid, selection.used, options, partial(report, "casting rays"))
 
     # 3. Whole blocks of time are held out.
     blocks = time_blocks(table.stamps, options.block_s)
@@ -241,6 +241,7 @@ def calibrate(
     intervals = form_intervals(
         fitted, fit, options.hold, options.block_s, offset=chosen.has_offset, slope=chosen.has_slope
     )
+    report("intervals", 1, 1)
     from_table: Iterable[Finding] = table_findings(table)
     if isinstance(grid, CrossFitMaps):
         if clutter is not None:
@@ -250,11 +251,10 @@ def calibrate(
         from_table = cross_fit_findings(grid, table, 0 if clutter is None else len(clutter), fit, intervals)
     elif covariances is not None:
         off = with_error_again(log, as_pose_covariances(log, covariances), options.seed)
-        more, _ = _cast(off, grid, selection.used, options, report)
+        more, _ = _cast(off, grid, selection.used, options, partial(report, "intervals, for the error of the poses"))
         more = more.select(~np.isin(more.scan, table.scan[held_out]) & ~more.hits_nothing)
         again = learn_form(more, options.hold, offset=chosen.has_offset, slope=chosen.has_slope).parameters
         intervals = with_pose_error(intervals, fit, again)
-    report("intervals", 1, 1)
 
     # 5. Judge it on the held-out blocks.
     judged = table.select(held_out)
@@ -308,13 +308,12 @@ def _cast(
     grid: OccupancyGrid | CrossFitMaps,
     scans: NDArray[np.bool_],
     options: CalibrationOptions,
-    report: Progress,
+    progress: Callable[[int, int], None],
 ) -> tuple[BeamTable, BeamTable | None]:
     """Cast the beams of the chosen scans in the map, or in the map that the other half drew, as `cross_fit_table`."""
-    unknown, progress = options.unknown, partial(report, "casting rays")
     if isinstance(grid, CrossFitMaps):
-        return cross_fit_table(log, grid, scans, unknown=unknown, progress=progress)
-    return build_beam_table(log, grid, scans, unknown=unknown, progress=progress), None
+        return cross_fit_table(log, grid, scans, unknown=options.unknown, progress=progress)
+    return build_beam_table(log, grid, scans, unknown=options.unknown, progress=progress), None
 
 
 def _require_beams(table: BeamTable, held_out: NDArray[np.bool_], selection: Selection, *, drawn: bool) -> None:

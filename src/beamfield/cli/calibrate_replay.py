@@ -118,4 +118,7 @@ def _shift(job: CalibrationJob, before: FilterSettings, grid: OccupancyGrid) -> 
 
 def _cache_folder() -> Path:
     """Return where interrupted replays are kept: not beside the results, of which nothing partial may be left."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "beamfield"
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "beamfield")
+    except RuntimeError:  # a user without a home, as in containers: nothing is kept
+        return Path(os.devnull, "beamfield")

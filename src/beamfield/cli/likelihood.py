@@ -59,7 +59,9 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                       "beamfield calibrate (default: typical values)")  # fmt: skip
     options.add_range_table(parser)
     options.add_out(parser, "beamfield_likelihood.png", metavar="FILE", what=f"picture ({', '.join(options.PICTURES)})")
-    parser.add_argument("--npz", type=Path, metavar="FILE", help="write the arrays into this NumPy .npz file")
+    parser.add_argument(
+        "--npz", type=options.output_file, metavar="FILE", help="write the arrays into this NumPy .npz file"
+    )
     lattice = parser.add_argument_group("poses that are compared")
     lattice.add_argument(
         "--resolution", type=positive, default=0.10, metavar="M", help="step in x and y (default: 0.1)"

@@ -70,7 +70,9 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")
     options.add_range_table(parser)
     options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
-    parser.add_argument("--animation", type=Path, metavar="FILE", help="write the particles over time as a .gif")
+    parser.add_argument(
+        "--animation", type=options.output_file, metavar="FILE", help="write the particles over time as a .gif"
+    )
     start = parser.add_argument_group("start").add_mutually_exclusive_group()
     start.add_argument("--start", type=finite, nargs=3, metavar=("X", "Y", "DEG"),
                        help="the first pose, within about 0.5 m and 15 degrees (default: the first reference pose; "

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import atexit
 import gc
 import importlib
 import io
 import os
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
 
 from beamfield import __version__
 from beamfield.cli import (
@@ -36,7 +40,7 @@ from beamfield.cli import map as map_command
 from beamfield.cli.compile_ahead import compile_ahead
 from beamfield.cli.outcome import show, show_notes
 from beamfield.cli.parser import Parser
-from beamfield.cli.terminal import complain
+from beamfield.cli.terminal import complain, silence
 from beamfield.cli.wording import in_options
 from beamfield.errors import BeamfieldError
 from beamfield.kernels.threads import set_threads
@@ -46,10 +50,11 @@ COMMANDS = (
     calibrate, calibrate_landmarks, check, doctor, evaluate, explore, translate, inspect, trajectory, map_command,
     precompute, simulate, likelihood, localize, figures, fleet, demo,
 )  # fmt: skip
-INTERNAL_ERROR = 70
+INTERNAL_ERROR, INTERRUPTED = 70, 130
 # New objects between two searches for garbage, where Python's 700 or 2,000 cost a twelfth of a command's time: imports
 # and Numba's compiler make millions of objects that stay.
 OBJECTS_PER_COLLECTION = 50_000
+INTERRUPT_AGAIN_S = 0.01
 
 
 def build_parser() -> Parser:
@@ -73,6 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     The words come without the program's name; None takes them from the process. Only then runs of filters start others
     beside it, which would run a script of the caller's anew.
     """
+    # Closed, as >&- does: files that are opened later would take its place.
+    sys.stdout, sys.stderr = (stream or Path(os.devnull).open("w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         # A terminal that has no "±", or a file name that is no text, must not end a finished job with a traceback.
         if isinstance(stream, io.TextIOWrapper):
@@ -84,6 +91,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         gc.set_threshold(OBJECTS_PER_COLLECTION, *gc.get_threshold()[1:])
         # Else Python would look through all modules for garbage before it ends, another twentieth.
         atexit.register(gc.freeze)
+        sys.unraisablehook = _interrupt_again
+        # As Ctrl-C, lest files stay behind that bags are unpacked into.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     parser = build_parser()
     if "_ARGCOMPLETE" in os.environ:  # the shell asks how a word goes on
         importlib.import_module("argcomplete").autocomplete(parser)
@@ -93,33 +103,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(end.code or 0)
     threads = getattr(parsed, "threads", None)
     parsed.noticed = []
+    code = INTERRUPTED
     try:
         limited = nullcontext() if threads is None else set_threads(threads)
         others = _other_processes(parsed) if is_ours else nullcontext()
         with _unpacking_limit(parsed), _kept_inputs(parsed), limited, others:
             outcome = parsed.run(parsed)
+        code = int(outcome.code)
         show(outcome, parsed)
         sys.stdout.flush()
-        return int(outcome.code)
+        return code
     except BeamfieldError as error:
         # What was assumed about the input is often why nothing came of it.
         show_notes(parsed.noticed, parsed)
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
         # The reader of our output (head, less) has gone; that is no error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        silence(sys.stdout)
+        return code
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         home = "; only the shell knows ~, and not after =: write $HOME" if str(error.filename).startswith("~") else ""
         return _fail(f"{where}{error.strerror or error}{home}", 1)
     except KeyboardInterrupt:
-        return _fail("interrupted", 130)
+        return _fail("interrupted", INTERRUPTED)
     except Exception as error:
         if parsed.verbose:
             traceback.print_exc()
         hint = "" if parsed.verbose else "; -v shows where"
         return _fail(f"internal error, please report it: {type(error).__name__}: {error}{hint}", INTERNAL_ERROR)
+
+
+def _interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
+    """Raise a Ctrl-C once more that came in a destructor, as the compiler has: Python would print it and go on."""
+    if unraisable.exc_type is KeyboardInterrupt:
+        # From outside, and later: what is raised in here is printed as well.
+        threading.Timer(INTERRUPT_AGAIN_S, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 @contextmanager

@@ -31,7 +31,7 @@ MOST_REACH = 1000.0
 def add_out(parser: argparse.ArgumentParser, default: str | None, *, metavar: str, what: str) -> None:
     """Add --out; a command that is there to write has a default, one that answers a question has none."""
     stated = "" if default is None else " (default: %(default)s)"
-    kind = _folder if metavar == "DIR" else _file
+    kind = _folder if metavar == "DIR" else output_file
     parser.add_argument("-o", "--out", type=kind, default=default and Path(default), metavar=metavar,
                         help=f"{what}; files of the same name are replaced{stated}")  # fmt: skip
 
@@ -170,14 +170,21 @@ def refuse(arguments: argparse.Namespace, names: Iterable[str], why: str) -> Non
             raise InvalidInputError(f"--{name.replace('_', '-')}: {why}")
 
 
-def _file(text: str) -> Path:
+def output_file(text: str) -> Path:
+    """Return what to write; refuse names that mean something else to other programs."""
     if text == "-":
         raise argparse.ArgumentTypeError("expected a name, not stdout; ./- is a file of this name")
-    return Path(text)
+    path = Path(text)
+    # Else a folder would be made that `rm -r ~` does not mean.
+    if text == "~" or (text.startswith("~") and len(path.parts) > 1):
+        raise argparse.ArgumentTypeError(
+            f"only the shell knows ~, and not after =: write $HOME, or ./~ for a folder of this name; got {text!r}"
+        )
+    return path
 
 
 def _folder(text: str) -> Path:
-    path = _file(text)
+    path = output_file(text)
     if path.suffix.lower() in FILES and not path.exists():
         raise argparse.ArgumentTypeError(f"expected a folder to write files into, got {path.name!r}")
     return path

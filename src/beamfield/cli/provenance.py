@@ -25,11 +25,17 @@ _WRITTEN = ("animation", "mcap", "npz", "out", "patch", "rerun")
 
 
 def input_files(arguments: argparse.Namespace) -> list[Path]:
-    """Return the files that a command is told to read, not to change, with the pictures of maps."""
+    """Return the files that a command is told to read, not to change, with the pictures of maps and all of a bag."""
     given = [value for name, value in vars(arguments).items() if name not in _WRITTEN]
     listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
     paths = [one for one in listed if isinstance(one, Path)]
     for path in list(paths):
+        # Here, as --list has no inputs, and does not need numerical libraries.
+        from beamfield.io.read_log import files_of_folder, folder_of_log
+
+        with suppress(OSError):  # told where it is read
+            folder = folder_of_log(path)
+            paths += [] if folder is None else files_of_folder(folder)
         if path.suffix in (".yaml", ".yml"):
             from beamfield.io.maps.ros_map import image_path
 

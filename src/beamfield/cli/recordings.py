@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beamfield.cli.options import check_output
-from beamfield.errors import MissingDependencyError
+from beamfield.cli.options import check_output, output_file
+from beamfield.errors import InvalidInputError, MissingDependencyError
 
 if TYPE_CHECKING:
     from beamfield.geometry import FloatArray
@@ -27,8 +28,8 @@ KINDS = (("rerun", ".rrd", "rerun", "rerun-sdk", "rerun"), ("mcap", ".mcap", "ro
 def add_recordings(parser: argparse.ArgumentParser) -> None:
     """Add --rerun and --mcap."""
     group = parser.add_argument_group("recordings, to look at over time")
-    group.add_argument("--rerun", type=Path, metavar="FILE", help="write an .rrd for the Rerun viewer")
-    group.add_argument("--mcap", type=Path, metavar="FILE", help="write an .mcap for Foxglove or RViz")
+    group.add_argument("--rerun", type=output_file, metavar="FILE", help="write an .rrd for the Rerun viewer")
+    group.add_argument("--mcap", type=output_file, metavar="FILE", help="write an .mcap for Foxglove or RViz")
 
 
 def wants_recording(arguments: argparse.Namespace) -> bool:
@@ -43,6 +44,16 @@ def check_recordings(arguments: argparse.Namespace) -> None:
         if path is not None and importlib.util.find_spec(module) is None:
             raise MissingDependencyError(package, extra, f"--{option}")
         check_output(path, option, ending)
+    if arguments.mcap is not None:
+        from beamfield.io.read_log import folder_of_log
+
+        for log in arguments.logs if "logs" in arguments else [arguments.log]:
+            folder = folder_of_log(log)
+            if folder is not None and os.path.realpath(folder) == os.path.realpath(arguments.mcap.parent):
+                raise InvalidInputError(
+                    f"--mcap: {arguments.mcap} would lie in the folder of the log, and be read as part of it; write it "
+                    "elsewhere"
+                )
 
 
 def write_recordings(arguments: argparse.Namespace, record: Callable[[], Recording]) -> list[Path]:

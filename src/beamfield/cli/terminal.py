@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 import textwrap
-from typing import Any
+from typing import Any, TextIO
 
 from beamfield.printable import printable
 
@@ -35,4 +36,12 @@ def filled(sentences: str) -> str:
 
 def complain(text: str) -> None:
     """Print a warning, an error or a stage of the work on stderr: always one line."""
-    print(printable(" ".join(text.split())), file=sys.stderr, flush=True)
+    try:
+        print(printable(" ".join(text.split())), file=sys.stderr, flush=True)
+    except OSError:  # its reader (head) has gone, or its disk is full: no reason to give up the work
+        silence(sys.stderr)
+
+
+def silence(stream: TextIO) -> None:
+    """Let go of what could not be written to a stream, and of what comes."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

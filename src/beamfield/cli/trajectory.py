@@ -23,6 +23,7 @@ from beamfield.cli import inputs, options
 from beamfield.cli.fitted_poses import about_its_file
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, positive
+from beamfield.cli.provenance import file_name
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             raise TrajectoryNotFoundError(f"{arguments.log}: {error}{about}") from error
         progress("writing", 0, 1)
         written = fit.trusted if arguments.trusted_only else slice(None)
-        figure = draw_fit(fit, sensor, grid, f"{arguments.log.name} in {arguments.map.name}")
+        figure = draw_fit(fit, sensor, grid, f"{file_name(arguments.log)} in {file_name(arguments.map)}")
         with atomic_files([picture, arguments.out]) as (drawn, poses):
             figure.savefig(drawn, dpi=130)
             write_tum(poses, Track(fit.stamps[written], fit.poses[written]))

@@ -21,7 +21,7 @@ from beamfield.io.logs.coreslam import N_BEAMS, RANGES_FROM, read_coreslam
 from beamfield.io.logs.g2o import read_g2o
 from beamfield.io.logs.gfs import read_gfs
 from beamfield.io.logs.scan_stamps import StampRule
-from beamfield.io.logs.sonar_log import is_sonar_log, read_sonar_log
+from beamfield.io.logs.sonar_log import MEASUREMENTS, POSES, is_sonar_log, read_sonar_log
 from beamfield.io.logs.text_scans import LonePoses, TextOptions
 from beamfield.io.logs.wean_log import read_wean_log
 from beamfield.io.no_return import NoReturnRule
@@ -165,6 +165,22 @@ def _is_bag(path: Path) -> bool:
 
 def _is_named_as_bag(path: Path) -> bool:
     return path.suffix in BAG_SUFFIXES or is_packed_storage(path)
+
+
+def folder_of_log(path: Path) -> Path | None:
+    """Return the folder that is read for a log, also where one file of a bag is named; None if a file is read alone."""
+    if path.is_dir():
+        return path
+    # Here, because only few files are bags.
+    from beamfield.io.bags.bag_file import listed_in_metadata
+
+    return path.parent if _is_named_as_bag(path) and listed_in_metadata(path) else None
+
+
+def files_of_folder(folder: Path) -> list[Path]:
+    """Return the files that a log may be read from in a folder of any format."""
+    names = ("metadata.yaml", MEASUREMENTS, POSES)
+    return [file for file in folder.iterdir() if file.name in names or _is_named_as_bag(file)]
 
 
 def _only(log: ScanLog, asked: tuple[str, ...]) -> ScanLog:

@@ -1,4 +1,4 @@
-"""The decorators that own Numba's compiler flags, and its cache on disk.
+"""The decorators that own Numba's compiler flags, and its cache on disk, or none where none can be written.
 
 A kernel whose name begins with an underscore, or that is `shared`, is compiled for the kernels that call it alone.
 """
@@ -105,7 +105,11 @@ def _allow_wide_vectors(context: Any, builder: Any, _: Any, __: Any) -> Any:
 def _compiled(function: F, **flags: Any) -> F:
     if function.__name__.startswith("_"):
         return _without_entry(function, **flags)
-    dispatcher = _jit(function, cache=True, **flags)
+    try:
+        dispatcher = _jit(function, cache=True, **flags)
+    except RuntimeError:
+        # Neither this package's folder nor the home folder can be written, as in many containers.
+        dispatcher = _jit(function, **flags)
     # Numba drops what it has on disk when the kernel's own file changes, but knows nothing of those it calls.
     file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
     if file is not None:

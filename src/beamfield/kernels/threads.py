@@ -210,12 +210,16 @@ _here = threading.local()
 def _call_for_help(job: _Job, n: int) -> None:
     """Ask so many threads for help, and start those that there are not yet."""
     global _n_helpers
-    while _n_helpers < n:
-        with _starting:
-            if _n_helpers < n:
-                # Not threading.Thread: a start of that, ended half way by Ctrl-C, leaves a thread that dies.
-                _thread.start_new_thread(_help_forever, (_jobs,))
-                _n_helpers += 1
+    with suppress(
+        RuntimeError
+    ):  # no more threads to be had, as where a container limits them: those that are there help
+        while _n_helpers < n:
+            with _starting:
+                if _n_helpers < n:
+                    # Not threading.Thread: a start of that, ended half way by Ctrl-C, leaves a thread that dies.
+                    _thread.start_new_thread(_help_forever, (_jobs,))
+                    _n_helpers += 1
+    n = min(n, _n_helpers)
     # Calls for help that nobody has answered, because all are at work, are not piled up.
     with suppress(Empty):
         while _jobs.qsize() + n > _n_helpers:

@@ -38,7 +38,7 @@ def evaluation_figure(evaluation: Evaluation) -> Figure:
     inside.axvline(RIGHT_SHARE, color=QUIET, linewidth=1.0, linestyle="--")
     inside.set_xlim(-0.03, 1.03)
     style(inside, x="share of updates with the reference in\nthe particles' 95% ellipse; dashed: 0.95", grid="x")
-    errors.set_yticks(heights, [_shortened(label) for label, *_ in rows])
+    errors.set_yticks(heights, [_shortened(label) for label, *_ in rows], parse_math=False)
     errors.set_ylim(heights[-1] + 0.6, -0.6)
     return figure
 

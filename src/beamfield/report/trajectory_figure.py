@@ -42,7 +42,7 @@ def draw_fit(fit: TrajectoryFit, log: SensorLog, grid: OccupancyGrid, title: str
         above.plot(*log.poses[:, :2].T, color=OWN_POSES, lw=1.2, label="the log's own poses", zorder=3)
     above.set_xlim(low[0], high[0])
     above.set_ylim(low[1], high[1])
-    above.set_title(title, fontsize=11)
+    above.set_title(title, fontsize=11, parse_math=False)  # names of files may hold $
     above.legend(loc="best", fontsize=8, framealpha=0.9)
     _draw_deviations(fit, log, below)
     return figure

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 import tempfile
 import warnings
@@ -320,7 +321,7 @@ def _resolve(path: Path) -> list[Path]:
         )
     if path.suffix != storage:
         raise FormatError(path, f"the content is a {storage} file, but the name ends in {path.suffix!r}")
-    if storage != ".bag" and _listed_in_metadata(path):
+    if storage != ".bag" and listed_in_metadata(path):
         return [path.parent]
     return [path]
 
@@ -351,11 +352,12 @@ def _parts_of_ros1(folder: Path) -> list[Path]:
     return [parts[i] for i in range(len(parts))]
 
 
-def _listed_in_metadata(file: Path) -> bool:
+def listed_in_metadata(file: Path) -> bool:
+    """Return whether a file is part of the bag in its folder, which is then read as a whole."""
     metadata = file.parent / METADATA
     if not metadata.is_file() or metadata.stat().st_size > MAX_METADATA_BYTES:
         return False
-    return file.name.encode() in metadata.read_bytes()
+    return os.fsencode(file.name) in metadata.read_bytes()
 
 
 def _guarded(path: Path, iterator: Iterator[Any]) -> Iterator[Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.argument_kinds import expect
-from beamfield.arguments import as_count, as_floats, as_generator, check_fields, checked, require
+from beamfield.arguments import as_count, as_floats, as_generator, as_writeable, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, Pose, after_step, as_poses, pose_rows, step_between
 from beamfield.localization.continuous_odometry import ContinuousOdometry
@@ -319,7 +319,7 @@ class ParticleFilter(Generic[Z]):
 
     def _log_likelihood(self, z: Z, belief: Particles) -> FloatArray:
         model = self._model if self._coarse is None else self._coarse
-        values = as_floats(model.log_likelihood(z, belief.poses), "log_likelihood")
+        values = as_writeable(as_floats(model.log_likelihood(z, belief.poses), "log_likelihood"))
         if values.shape != (len(belief),):
             raise InvalidInputError(
                 f"model: expected one log-likelihood per pose, {len(belief)}, got shape {values.shape}"

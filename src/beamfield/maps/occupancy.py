@@ -77,7 +77,7 @@ class OccupancyGrid:
     def __post_init__(self) -> None:
         check_fields(self)
         with np.errstate(over="ignore"):  # what overflows is refused below
-            probability = np.asarray(self.probability, dtype=np.float32)
+            probability = np.asarray(self.probability, dtype=np.float32, order="C")
         if probability.flags.writeable or not probability.flags.owndata:
             probability = np.array(probability)
         if probability.ndim != 2 or probability.size == 0:
@@ -134,7 +134,7 @@ class OccupancyGrid:
                 "if 1 is occupied"
             )
         # Step by step, for maps whose copies would not fit into memory.
-        probability = values.astype(np.float32)
+        probability = values.astype(np.float32, order="C")
         probability /= np.float32(100.0)
         probability[values < 0] = np.nan
         probability.flags.writeable = False

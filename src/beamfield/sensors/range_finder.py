@@ -75,7 +75,7 @@ class RangeFinder:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        mounts = np.array(as_poses(self.mounts, "mounts"))
+        mounts = np.array(as_poses(self.mounts, "mounts"), order="C")
         require(mounts.ndim == 2, "mounts", "shape (k, 3)", mounts.shape)
         # Whole numbers would be another type to the compiler.
         limits = {name: float(getattr(self, name)) for name in ("max_range", "min_range", "opening_angle")}

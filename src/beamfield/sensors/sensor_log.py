@@ -104,7 +104,7 @@ class SensorLog:
         check_fields(self)
         t, k = np.size(self.stamps), self.finder.n_beams
         for name, shape in (("stamps", (t,)), ("ranges", (t, k)), ("poses", (t, 3)), ("odometry", (t, 3))):
-            array = np.array(as_floats(getattr(self, name), name))
+            array = np.array(as_floats(getattr(self, name), name), order="C")
             require(array.shape == shape, name, f"shape {shape}", array.shape)
             keep(self, **{name: array})
 

@@ -47,6 +47,13 @@ def test_reading_returns_what_was_written(tmp_path, text):
     assert "  exponent: null\n" in text.split("intervals_95")[1]
 
 
+def test_a_small_z_rand_is_not_rounded_away_which_would_make_poses_impossible(tmp_path):
+    for z_hit, z_rand in ((1.0 - 1e-7, 1e-7), (1e-7, 1.0 - 1e-7)):
+        text = likelihood_field_text(LikelihoodFieldParameters(z_hit, z_rand, 0.1), FINDER, exponent=1.0, n_beams=1)
+        saved = read_likelihood_field(written(tmp_path, text))
+        assert (saved.z_hit, saved.z_rand) == pytest.approx((z_hit, z_rand), rel=1e-6)
+
+
 def test_numbers_have_no_more_digits_than_are_known(tmp_path):
     finder = RangeFinder.from_bearings([0.0, 0.1], max_range=12.5, min_range=float(np.float32(0.15)), name="laser")
     weights = LikelihoodFieldParameters(0.6666666, 1.0 - 0.6666666, 0.07)

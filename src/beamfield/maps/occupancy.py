@@ -86,7 +86,8 @@ class OccupancyGrid:
         if np.fmin.reduce(probability, axis=None) < 0 or np.fmax.reduce(probability, axis=None) > 1:
             row, col = np.argwhere((probability < 0) | (probability > 1))[0]
             raise InvalidInputError(
-                f"probability: expected [0, 1] or NaN, got {probability[row, col]} at (row, col) = ({row}, {col})"
+                f"probability: expected [0, 1] or NaN, got {probability[row, col]} at (row, col) = ({row}, {col}); "
+                "OccupancyGrid.from_ros(data, resolution) takes percent"
             )
         check_magnitude("resolution", self.resolution)
         if not 0.0 <= self.free_thresh < self.occupied_thresh <= 1.0:

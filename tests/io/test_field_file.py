@@ -77,7 +77,8 @@ def test_numbers_have_no_more_digits_than_are_known(tmp_path):
         ("  sigma_hit: 0.07", "  sigma_hit: -1", 7, "sigma_hit: expected a positive number"),
         ("  sigma_hit: 0.07", "  sigma_hit: wide", 10, "wide"),
         ("  min_range: 0.15", "  min_range: 13", 16, "expected 0 <= min_range < max_range = 12.5, got 13"),
-        ("likelihood_field:", "something_else:", None, "likelihood_field"),
+        ("likelihood_field:", "something_else:", None, "expected a likelihood_field.yaml of beamfield$"),
+        ("likelihood_field:", "beam_model:", None, "a likelihood_field.yaml of beamfield, got a beam_model.yaml$"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, text, old, new, line, message):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import beamfield as bf
-from beamfield.errors import BeamfieldError
+from beamfield.errors import BeamfieldError, InvalidInputError
 from beamfield.localization.particles import Particles
 
 both = pytest.mark.parametrize("package", [bf, bf.fleet, bf.localization], ids=lambda package: package.__name__)
@@ -43,6 +43,41 @@ def test_names_are_listed_and_others_are_missed_as_of_any_module(package):
     assert dir(package) == sorted(package.__all__)
     with pytest.raises(AttributeError, match=f"module {package.__name__!r} has no attribute 'BeamModle'"):
         _ = package.BeamModle
+
+
+@pytest.mark.parametrize(
+    ("package", "name", "home"),
+    [
+        (bf, "Relocalizer", "beamfield.localization"),
+        (bf, "scan_fleet", "beamfield.fleet"),
+        (bf.localization, "ParticleFilter", "beamfield"),
+        (bf.fleet, "open_catalogue", "beamfield"),
+    ],
+)
+def test_a_name_that_another_door_offers_is_sent_there(package, name, home):
+    with pytest.raises(AttributeError, match=f"has no attribute '{name}'; it is {home}.{name}$") as refused:
+        getattr(package, name)
+    # From these Python finds the name that was meant.
+    assert (refused.value.name, refused.value.obj) == (name, package)
+
+
+def test_what_is_made_by_another_function_names_it():
+    grid = bf.OccupancyGrid([[0.0, 1.0]], 0.1)
+    parameters = bf.BeamParameters(0.7, 0.1, 0.1, 0.1, 0.1, 0.5)
+    table = bf.RangeTable.build(grid)
+    scan = bf.Scan([1.0, 1.0], bf.RangeFinder.from_bearings([0.0, 0.1], 5.0))
+    for call, maker in (
+        (lambda: bf.RangeTable(grid), "plan: expected a RangeTablePlan, got an OccupancyGrid: RangeTable.build(grid) "),
+        (lambda: bf.RangeTable(table.plan), "codes: expected an array, got None: RangeTable.build(grid) makes a table"),
+        (lambda: bf.BeamModel(table, parameters), "got a RangeTable: the table is BeamModel's caster="),
+        (lambda: bf.OccupancyGrid([[0.0, 100.0]], 0.1), "OccupancyGrid.from_ros(data, resolution) takes percent"),
+        (lambda: bf.RangeFinder([0.0, 0.1], 5.0), "RangeFinder.from_bearings(bearings, max_range) takes bearings"),
+        (lambda: bf.LineMap([[0.0, 0.0, 1.0, 1.0]]), "LineMap.from_segments(segments) takes end points"),
+        (lambda: bf.find_lines(scan, 0.02), "RangeNoise(sigma_range) makes one"),
+    ):
+        with pytest.raises(InvalidInputError) as refused:
+            call()
+        assert maker in str(refused.value)
 
 
 @pytest.mark.parametrize(

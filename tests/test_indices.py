@@ -11,6 +11,7 @@ from beamfield.detections import Detections
 from beamfield.errors import InvalidInputError
 from beamfield.indices import as_indices
 from beamfield.landmark_noise.sighting_table import SightingTable
+from beamfield.maps.mapping import local_map
 from beamfield.models.line_detections import LineDetections
 from beamfield.scan_fit.statistics import FitStatistics
 from beamfield.sensors import RangeFinder, Scan, SensorLog
@@ -87,3 +88,13 @@ def test_what_is_no_choice_is_refused_by_name(choose, choice, message):
 
 def test_repeated_indices_repeat():
     assert as_indices([1, 1, 0], 2, "beams").tolist() == [1, 1, 0]
+
+
+def test_of_what_is_empty_nothing_can_be_chosen_and_the_error_says_so():
+    nothing = SensorLog(FINDER, [], np.empty((0, N)), np.empty((0, 3)), np.empty((0, 3)))
+    with pytest.raises(InvalidInputError, match="beams: expected none, as there is none to choose, got 0"):
+        as_indices([0], 0, "beams")
+    with pytest.raises(IndexError, match="index: the log has no scan, got 0"):
+        nothing.scan(0)
+    with pytest.raises(InvalidInputError, match="log: expected at least one scan, got 0"):
+        local_map(nothing, 0)

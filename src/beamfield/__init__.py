@@ -93,5 +93,7 @@ _MODULES = (
     "models", "plot", "report", "scan_fit", "simulation", "stacks",
 )  # fmt: skip
 
-_OFFERED, __getattr__, __dir__ = lazy_names(__name__, _NAMES, _MODULES)
+_OFFERED, __getattr__, __dir__ = lazy_names(
+    __name__, _NAMES, _MODULES, doors=("beamfield.fleet", "beamfield.localization")
+)
 __all__ = ["__version__", *_OFFERED]

@@ -137,6 +137,7 @@ def _lacking(kind: Any, value: Any) -> str:
 # Given (what belongs there, what stands there).
 _WHAT_TO_DO = {
     ("OccupancyGrid", "path"): "read_map(path) reads one",
+    ("OccupancyGrid", "RangeTable"): "the table is BeamModel's caster=, beside the grid",
     ("OccupancyGrid", "array"): "OccupancyGrid.from_ros(cells, resolution) makes one",
     ("SensorLog", "path"): "read_log(path).only_sensor() reads one",
     ("SensorLog", "ScanLog"): "choose a sensor of it with .only_sensor(name)",
@@ -156,6 +157,8 @@ _WHAT_TO_DO = {
     ("array", "Scan"): "the scan comes first, then the poses",
     ("array", "Particles"): "its .poses are",
     ("array", "PoseBelief"): "localization.belief_poses(belief, n, rng) draws poses from it",
+    ("RangeTablePlan", "OccupancyGrid"): "RangeTable.build(grid) makes a table",
+    ("RangeNoise", "float"): "RangeNoise(sigma_range) makes one",
     ("Generator", "int"): "np.random.default_rng(seed) makes one",
 }
 

@@ -99,6 +99,11 @@ def as_floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
     return np.asarray(values, dtype=np.float64)
 
 
+def as_writeable(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an array as kernels take it, writeable and in C order: any other would have them compiled anew."""
+    return values if values.flags.carray else np.require(values, requirements=["C", "A", "W"])
+
+
 def as_count(value: Any, name: str, *, least: int, most: int | None = None) -> int:
     """Return a whole number, or say why it is none that will do.
 

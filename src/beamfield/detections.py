@@ -150,7 +150,7 @@ def finite_copy(values: ArrayLike, name: str) -> FloatArray:
 
     InvalidInputError names one, with its index, that is not finite, or so large that sums overflow (beyond 1e9).
     """
-    array = np.array(values, dtype=np.float64)
+    array = np.array(values, dtype=np.float64, order="C")
     usable = np.abs(array) <= LARGEST
     if not usable.all():
         where = tuple(np.argwhere(~usable)[0].tolist())
@@ -161,7 +161,7 @@ def finite_copy(values: ArrayLike, name: str) -> FloatArray:
 
 
 def _frozen(values: ArrayLike, name: str) -> FloatArray:
-    array = np.array(values, dtype=np.float64)
+    array = np.array(values, dtype=np.float64, order="C")
     if np.isinf(array).any():
         raise InvalidInputError(f"{name}: expected finite numbers or NaN, got {array[np.isinf(array)][0]}")
     array.flags.writeable = False

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, checked, require
+from beamfield.arguments import as_floats, as_writeable, checked, require
 from beamfield.errors import InvalidInputError
 
 FloatArray = NDArray[np.float64]
@@ -68,9 +68,7 @@ def as_unchecked_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
 
 def pose_rows(poses: FloatArray) -> FloatArray:
     """Return poses (..., 3) as writeable rows (n, 3): one array type, so that kernels are compiled once."""
-    rows = poses.reshape(-1, 3)
-    flags = rows.flags
-    return rows if flags.c_contiguous and flags.writeable else np.require(rows, requirements=["C", "W"])
+    return as_writeable(poses.reshape(-1, 3))
 
 
 def _rows(values: ArrayLike, length: int, name: str) -> FloatArray:

@@ -57,7 +57,8 @@ def as_indices(choice: ArrayLike, n: int, name: str) -> NDArray[np.int64]:
         return np.flatnonzero(array)
     there = (-n <= array) & (array < n)
     if not there.all():
-        raise InvalidInputError(f"{name}: expected indices from {-n} to {n - 1}, got {array[~there][0]}")
+        expected = f"expected indices from {-n} to {n - 1}" if n else "expected none, as there is none to choose"
+        raise InvalidInputError(f"{name}: {expected}, got {array[~there][0]}")
     return np.arange(n, dtype=np.int64)[array.astype(np.int64)]
 
 

@@ -248,4 +248,4 @@ def test_a_file_of_another_kind_is_refused_as_what_the_model_takes(folder, tmp_p
     path = tmp_path / "landmarks.yaml"
     path.write_text("landmark_model: {sigma_range: 0.1}\n")
     assert run(folder, "--model", model, "--params", str(path)) == 1
-    assert capsys.readouterr().err.endswith(f"expected a {expected}.yaml of beamfield\n")
+    assert capsys.readouterr().err.endswith(f"expected a {expected}.yaml of beamfield, got a landmark_model.yaml\n")

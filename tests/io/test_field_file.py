@@ -47,6 +47,13 @@ def test_reading_returns_what_was_written(tmp_path, text):
     assert "  exponent: null\n" in text.split("intervals_95")[1]
 
 
+def test_a_small_z_rand_is_not_rounded_away_which_would_make_poses_impossible(tmp_path):
+    for z_hit, z_rand in ((1.0 - 1e-7, 1e-7), (1e-7, 1.0 - 1e-7)):
+        text = likelihood_field_text(LikelihoodFieldParameters(z_hit, z_rand, 0.1), FINDER, exponent=1.0, n_beams=1)
+        saved = read_likelihood_field(written(tmp_path, text))
+        assert (saved.z_hit, saved.z_rand) == pytest.approx((z_hit, z_rand), rel=1e-6)
+
+
 def test_numbers_have_no_more_digits_than_are_known(tmp_path):
     finder = RangeFinder.from_bearings([0.0, 0.1], max_range=12.5, min_range=float(np.float32(0.15)), name="laser")
     weights = LikelihoodFieldParameters(0.6666666, 1.0 - 0.6666666, 0.07)
@@ -70,7 +77,8 @@ def test_numbers_have_no_more_digits_than_are_known(tmp_path):
         ("  sigma_hit: 0.07", "  sigma_hit: -1", 7, "sigma_hit: expected a positive number"),
         ("  sigma_hit: 0.07", "  sigma_hit: wide", 10, "wide"),
         ("  min_range: 0.15", "  min_range: 13", 16, "expected 0 <= min_range < max_range = 12.5, got 13"),
-        ("likelihood_field:", "something_else:", None, "likelihood_field"),
+        ("likelihood_field:", "something_else:", None, "expected a likelihood_field.yaml of beamfield$"),
+        ("likelihood_field:", "beam_model:", None, "a likelihood_field.yaml of beamfield, got a beam_model.yaml$"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, text, old, new, line, message):

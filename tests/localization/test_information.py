@@ -38,9 +38,8 @@ class TableModel:
         self.table = table
 
     def log_likelihood(self, z: int, poses: np.ndarray) -> np.ndarray:
-        assert poses.shape[:-1] == self.table.shape[:2]
         with np.errstate(divide="ignore"):
-            return np.log(self.table[..., z])
+            return np.log(self.table[..., z]).reshape(poses.shape[:-1])
 
 
 LATTICE = PoseLattice.around(np.zeros(3), reach=0.1, resolution=0.1, heading_reach=np.pi, heading_step=np.pi / 2)

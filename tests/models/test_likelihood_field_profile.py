@@ -52,6 +52,8 @@ def test_without_any_obstacle_there_is_no_hit_density():
     assert density == pytest.approx(0.2 / 6.0)
 
 
-def test_n_must_be_a_number_of_ranges(model):
+def test_n_must_be_a_number_of_ranges_and_the_beam_one_of_the_sensor(model):
     with pytest.raises(InvalidInputError, match="n: expected at least 1, got 0"):
         model.profile(POSE, FINDER, n=0)
+    with pytest.raises(InvalidInputError, match="beam: expected indices from"):
+        model.profile(POSE, FINDER, beam=FINDER.n_beams)

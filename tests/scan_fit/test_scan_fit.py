@@ -293,3 +293,10 @@ class TestBadInput:
             InvalidInputError, match="model: expected a RangeMixtureModel or a LikelihoodFieldModel, got"
         ):
             fit_statistics(object(), fresh.ranges, fresh.finder, fresh.poses)  # type: ignore[arg-type]
+
+
+def test_a_scan_without_beams_says_nothing():
+    model = BeamModel(OccupancyGrid.from_ros([[0, 0, 100]], 0.5), BeamParameters(0.7, 0.1, 0.1, 0.1, 0.1, 0.5))
+    fit = judge_scan(model, Scan([], RangeFinder.from_bearings([], 5.0)), [0.2, 0.2, 0.0])
+    assert (fit.problem, fit.n_beams) == ("no measurement", 0)
+    assert np.isnan([fit.misfit, fit.p_value]).all()

@@ -17,4 +17,4 @@ _NAMES = {
     "fleet_report": ("judge_fleet",),
     "report_files": ("write_fleet_report",),
 }
-__all__, __getattr__, __dir__ = lazy_names(__name__, _NAMES)
+__all__, __getattr__, __dir__ = lazy_names(__name__, _NAMES, doors=("beamfield",))

@@ -20,4 +20,4 @@ _NAMES = {
     "resampling": ("KldSampling",),
     "short_readings": ("ShortReadings",),
 }
-__all__, __getattr__, __dir__ = lazy_names(__name__, _NAMES)
+__all__, __getattr__, __dir__ = lazy_names(__name__, _NAMES, doors=("beamfield",))

@@ -13,7 +13,7 @@ from beamfield.arguments import as_count, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
-from beamfield.models.base import MeasurementModel, check_takes_poses_alone
+from beamfield.models.base import MeasurementModel, check_takes_poses_alone, checked_log_likelihood
 from beamfield.models.local_map_cells import LocalMap
 from beamfield.short_repr import short_repr
 
@@ -213,7 +213,7 @@ def over_headings(
         part = slice(start, start + step)
         poses = np.empty((len(centres[part]), len(headings), 3))
         poses[..., :2], poses[..., 2] = centres[part, None], headings
-        yield part, model.log_likelihood(z, poses)
+        yield part, checked_log_likelihood(model, z, poses.reshape(-1, 3)).reshape(poses.shape[:-1])
 
 
 def lattice_shape(grid: OccupancyGrid, resolution: float, most: int) -> tuple[int, int]:

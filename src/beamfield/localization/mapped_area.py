@@ -9,6 +9,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import as_floats
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.base import MeasurementModel
@@ -71,7 +72,7 @@ class MappedAreaModel(Generic[Z]):
         beyond = self.area.is_beyond(poses)
         if 2 * np.count_nonzero(beyond) > beyond.size:
             return np.zeros(beyond.shape)
-        values = self.model.log_likelihood(z, poses)
-        if not beyond.any() or np.shape(values) != beyond.shape:  # the filter says what a model must not return
+        values = as_floats(self.model.log_likelihood(z, poses), "log_likelihood")
+        if not beyond.any() or values.shape != beyond.shape:  # the filter says what a model must not return
             return values
         return np.where(beyond, np.median(values[~beyond]), values)

@@ -18,7 +18,7 @@ from beamfield.localization.particles import Estimate, Particles
 from beamfield.localization.recovery import LikelihoodAverages, PoseSource, Recovery, reweigh
 from beamfield.localization.resampling import IndexArray, KldSampling, draw_enough, systematic_indices
 from beamfield.localization.short_readings import ShortReadings
-from beamfield.models.base import MeasurementModel
+from beamfield.models.base import MeasurementModel, checked_log_likelihood
 from beamfield.models.motion import MotionModel
 from beamfield.sensors import Scan
 
@@ -279,11 +279,10 @@ class ParticleFilter(Generic[Z]):
         moved = self._moved(belief)
         if self._short is not None and isinstance(z, Scan):
             z = self._short.leave_out(z, moved, self._rng)  # type: ignore[assignment]  # a scan is what Z is
-        log_likelihood = self._log_likelihood(z, moved)
+        model = self._model if self._coarse is None else self._coarse
+        log_likelihood = checked_log_likelihood(model, z, moved.poses)
         weights = np.array(moved.weights)
         log_evidence, effective, power = reweigh(weights, log_likelihood, self.options.least_effective, weights)
-        if log_evidence == math.inf:
-            raise InvalidInputError("model: expected log-likelihoods below +inf")
         weighed = Particles.unchecked(moved.poses, weights)
         if log_evidence == -math.inf:
             effective = 1.0 / float(np.square(weights).sum())
@@ -316,17 +315,6 @@ class ParticleFilter(Generic[Z]):
                 f"motion: expected as many poses as there are, {len(belief)}, got shape {poses.shape}"
             )
         return Particles.unchecked(pose_rows(poses), belief.weights)
-
-    def _log_likelihood(self, z: Z, belief: Particles) -> FloatArray:
-        model = self._model if self._coarse is None else self._coarse
-        values = as_floats(model.log_likelihood(z, belief.poses), "log_likelihood")
-        if values.shape != (len(belief),):
-            raise InvalidInputError(
-                f"model: expected one log-likelihood per pose, {len(belief)}, got shape {values.shape}"
-            )
-        if math.isnan(float(values.max())):
-            raise InvalidInputError("model: expected log-likelihoods, got NaN")
-        return values
 
     def _drawn(self, belief: Particles, effective: float, z: Z) -> tuple[Particles, int]:
         """Return the cloud drawn anew where that is due, and how many poses came from the source."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import as_count, check_fields, checked, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose
+from beamfield.geometry import FloatArray, as_poses, compose, pose_rows
 from beamfield.kernels import particles as kernels
 from beamfield.localization.replay import PoseBelief
 from beamfield.localization.resampling import BIN_SECTORS, IndexArray, as_weights, bin_numbers
@@ -72,13 +72,13 @@ class Particles:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        poses = np.ascontiguousarray(as_poses(self.poses))
+        poses = as_poses(self.poses)
         require(poses.ndim == 2 and len(poses), "poses", "shape (n, 3) with n at least 1", poses.shape)
         if self.weights is None:
             weights: FloatArray = np.full(len(poses), 1.0 / len(poses))
         else:
             weights = as_weights(self.weights, len(poses))
-        object.__setattr__(self, "poses", poses)
+        object.__setattr__(self, "poses", pose_rows(poses))
         object.__setattr__(self, "weights", weights)
 
     @classmethod

@@ -16,7 +16,7 @@ from beamfield.kernels import particles as kernels
 from beamfield.localization.particles import free_poses, require_free
 from beamfield.localization.resampling import systematic_indices
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
-from beamfield.models.base import MeasurementModel
+from beamfield.models.base import MeasurementModel, checked_log_likelihood
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_poses import sample_poses
 from beamfield.sensors import Scan
@@ -192,7 +192,7 @@ class PosesFromScan:
     def draw(self, z: Scan, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw n poses (n, 3) that fit the scan; where it is impossible at all candidates, any free poses."""
         candidates = free_poses(self.grid, self.n_candidates, rng)
-        log_likelihood = self.model.log_likelihood(z, candidates)
+        log_likelihood = checked_log_likelihood(self.model, z, candidates)
         weights: FloatArray = np.full(len(candidates), 1.0 / len(candidates))
         reweigh(weights, log_likelihood, LEAST_EFFECTIVE / len(candidates), weights)
         return np.asarray(candidates[systematic_indices(weights, n, rng)])

@@ -9,7 +9,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_count, as_floats, check_fields, checked, require
+from beamfield.arguments import as_count, as_floats, as_writeable, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import particles as kernels
@@ -125,7 +125,7 @@ def bin_numbers(poses: FloatArray) -> tuple[IndexArray, int, IndexArray, NDArray
 
 def as_weights(weights: ArrayLike, n: int | None = None) -> FloatArray:
     """Return weights as an array (n,), any n by default; refuse those below 0, and those whose sum is not 1."""
-    values = np.ascontiguousarray(as_floats(weights, "weights"))
+    values = as_writeable(as_floats(weights, "weights"))
     shape = (max(values.size, 1) if n is None else n,)
     require(values.shape == shape, "weights", f"shape {shape}", values.shape)
     total = float(values.sum())

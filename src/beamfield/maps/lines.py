@@ -68,7 +68,9 @@ class LineMap(MapWithIds):
         check_fields(self)
         given = finite_copy(self.lines, "lines")
         if given.ndim != 2 or given.shape[1] != 2 or not len(given):
-            raise InvalidInputError(f"lines: expected shape (n, 2) with n >= 1, got {given.shape}")
+            ends = given.ndim == 2 and given.shape[1] == 4
+            hint = "; LineMap.from_segments(segments) takes end points" if ends else ""
+            raise InvalidInputError(f"lines: expected shape (n, 2) with n >= 1, got {given.shape}{hint}")
         lines = normal_form(given)
         keep(self, lines=lines, ids=as_map_ids(self.ids, len(lines)))
         if self.segments is not None:

@@ -161,6 +161,7 @@ def local_map(
     [[False, False, False, True]]
     """
     n = as_count(n, "n", least=1)
+    require(len(log), "log", "at least one scan", 0)
     index = as_count(index, "index", least=0, most=len(log) - 1)
     track = _poses_of(log, poses)
     if not np.isfinite(track[index]).all():

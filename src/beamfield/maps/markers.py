@@ -53,7 +53,7 @@ class MarkerMap:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        poses = np.array(as_poses(self.poses, "poses"))
+        poses = np.array(as_poses(self.poses, "poses"), order="C")
         ids = as_ids(self.ids)
         require(poses.shape == (len(ids), 3), "poses", f"shape ({len(ids)}, 3) for {len(ids)} ids", poses.shape)
         rows: dict[MarkerId, int] = {}

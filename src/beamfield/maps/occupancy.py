@@ -77,7 +77,7 @@ class OccupancyGrid:
     def __post_init__(self) -> None:
         check_fields(self)
         with np.errstate(over="ignore"):  # what overflows is refused below
-            probability = np.asarray(self.probability, dtype=np.float32)
+            probability = np.asarray(self.probability, dtype=np.float32, order="C")
         if probability.flags.writeable or not probability.flags.owndata:
             probability = np.array(probability)
         if probability.ndim != 2 or probability.size == 0:
@@ -86,7 +86,8 @@ class OccupancyGrid:
         if np.fmin.reduce(probability, axis=None) < 0 or np.fmax.reduce(probability, axis=None) > 1:
             row, col = np.argwhere((probability < 0) | (probability > 1))[0]
             raise InvalidInputError(
-                f"probability: expected [0, 1] or NaN, got {probability[row, col]} at (row, col) = ({row}, {col})"
+                f"probability: expected [0, 1] or NaN, got {probability[row, col]} at (row, col) = ({row}, {col}); "
+                "OccupancyGrid.from_ros(data, resolution) takes percent"
             )
         check_magnitude("resolution", self.resolution)
         if not 0.0 <= self.free_thresh < self.occupied_thresh <= 1.0:
@@ -134,7 +135,7 @@ class OccupancyGrid:
                 "if 1 is occupied"
             )
         # Step by step, for maps whose copies would not fit into memory.
-        probability = values.astype(np.float32)
+        probability = values.astype(np.float32, order="C")
         probability /= np.float32(100.0)
         probability[values < 0] = np.nan
         probability.flags.writeable = False

@@ -105,13 +105,15 @@ class RangeTable:
     """
 
     plan: RangeTablePlan
-    codes: Codes = field(repr=False)
+    codes: Codes = field(default=None, repr=False)  # type: ignore[arg-type]  # None is refused with what to do
     error: RangeTableError = field(default=None)  # type: ignore[assignment]  # always there once constructed
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.codes is None:
+            raise InvalidInputError("codes: expected an array, got None: RangeTable.build(grid) makes a table")
         shape = (self.plan.n_places, self.plan.headings)
         require(self.codes.shape == shape, "codes", f"shape {shape}", self.codes.shape)
         require(self.codes.dtype == np.uint16, "codes", "uint16", self.codes.dtype)

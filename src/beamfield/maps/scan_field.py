@@ -10,9 +10,9 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import checked, require
+from beamfield.arguments import as_floats, as_writeable, checked, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses
+from beamfield.geometry import FloatArray, as_poses, pose_rows
 from beamfield.kernels import scan_field as kernels
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.end_points import hit_points
@@ -265,7 +265,7 @@ class ScanField:
             If the poses are not finite (..., 3).
         """
         where = as_poses(poses)
-        flat = np.ascontiguousarray(where.reshape(-1, 3))
+        flat = pose_rows(where)
         points, out = hit_points(z.ranges, z.finder), np.empty(len(flat))
         reach, margin = REACH_SIGMAS * self.sigma_hit, MARGIN_SIGMAS * self.sigma_hit
 
@@ -277,10 +277,10 @@ class ScanField:
 
     def _look_up(self, points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return density, distance and free share at points."""
-        where = np.asarray(points, dtype=np.float64)
+        where = as_floats(points, "points")
         if where.ndim == 0 or where.shape[-1] != 2 or not np.isfinite(where).all():
             raise InvalidInputError(f"points: expected finite numbers of shape (..., 2), got {where.shape}")
-        flat = np.ascontiguousarray(where.reshape(-1, 2))
+        flat = as_writeable(where.reshape(-1, 2))
         density, distance, free = (np.empty(len(flat)) for _ in range(3))
         reach, margin = REACH_SIGMAS * self.sigma_hit, MARGIN_SIGMAS * self.sigma_hit
         kernels.fill_field(flat, reach, margin, self.sigma_hit, self.view, density, distance, free)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol, TypeVar, runtime_checkable
 
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import as_floats, as_writeable
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 
@@ -40,6 +42,19 @@ class MeasurementModel(Protocol[Z_contra]):
             If the poses are not finite (..., 3), or the measurement is not what the model needs.
         """
         ...
+
+
+def checked_log_likelihood(model: MeasurementModel[Z_contra], z: Z_contra, poses: FloatArray) -> FloatArray:
+    """Return log p(z | x, m) (n,) at poses (n, 3) as kernels take it; refuse what no model must return."""
+    values = as_writeable(as_floats(model.log_likelihood(z, poses), "log_likelihood"))
+    if values.shape != (len(poses),):
+        raise InvalidInputError(f"model: expected one log-likelihood per pose, {len(poses)}, got shape {values.shape}")
+    largest = float(values.max(initial=-math.inf))
+    if math.isnan(largest):
+        raise InvalidInputError("model: expected log-likelihoods, got NaN")
+    if largest == math.inf:
+        raise InvalidInputError("model: expected log-likelihoods below +inf")
+    return values
 
 
 @runtime_checkable

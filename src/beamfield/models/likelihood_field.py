@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
+from beamfield.indices import as_indices
 from beamfield.kernels.device import require_device
 from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
@@ -289,6 +290,7 @@ class LikelihoodFieldModel:
             Number of ranges, the midpoints of equal pieces of [0, max_range].
         """
         require(n >= 1, "n", "at least 1", n)
+        (beam,) = as_indices([beam], finder.n_beams, "beam")
         spacing = finder.max_range / n
         ranges = np.asarray((np.arange(n) + 0.5) * spacing, dtype=np.float64)
         mount = finder.mounts[beam]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from beamfield.arguments import SMALLEST, as_generator, check_fields, check_magnitude, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose, invert, wrap_angle
+from beamfield.geometry import FloatArray, as_poses, compose, invert, pose_rows, wrap_angle
 from beamfield.kernels.marker import NEGLIGIBLE, CameraView, fill_detection_log_density, fill_scan_log_density
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.markers import MarkerId, MarkerMap, as_ids
@@ -60,7 +60,7 @@ class MarkerDetections:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        ids, image = as_ids(self.ids), np.array(self.image, dtype=np.float64)
+        ids, image = as_ids(self.ids), np.array(self.image, dtype=np.float64, order="C")
         if not ids and image.size == 0:
             image = image.reshape(0, 3)
         require(image.shape == (len(ids), 3), "image", f"shape ({len(ids)}, 3) for {len(ids)} ids", image.shape)
@@ -250,7 +250,7 @@ class MarkerModel:
         self, fill: Callable[..., object], z: MarkerDetections, robot: FloatArray, each: tuple[int, ...]
     ) -> FloatArray:
         """Return what a kernel fills in at each pose, of the shape `each`."""
-        rows = np.ascontiguousarray(robot.reshape(-1, 3))
+        rows = pose_rows(robot)
         image, seen, view = self._relative_image(z), self._seen(z), self._view()
         out: FloatArray = np.zeros((len(rows), *each))
         work_per_row = 1 + len(z)

@@ -104,13 +104,13 @@ class OdometryMotion(ABC):
         """Return log p(after | odometry, before); see `MotionModel`."""
         ends, starts = as_poses(after, "after"), as_poses(before, "before")
         try:
-            ends, starts = np.broadcast_arrays(ends, starts)
+            shape = np.broadcast_shapes(ends.shape, starts.shape)
         except ValueError:
             raise InvalidInputError(
                 f"after: expected a shape that broadcasts with before's {starts.shape}, got {ends.shape}"
             ) from None
-        rows = [np.ascontiguousarray(poses).reshape(-1, 3) for poses in (ends, starts)]
-        return self.step(as_odometry(odometry)).log_density(*rows).reshape(ends.shape[:-1])
+        rows = [pose_rows(np.broadcast_to(poses, shape)) for poses in (ends, starts)]
+        return self.step(as_odometry(odometry)).log_density(*rows).reshape(shape[:-1])
 
 
 def as_odometry(odometry: ArrayLike) -> FloatArray:

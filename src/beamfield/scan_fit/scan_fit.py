@@ -272,7 +272,7 @@ def _problems(
     problem = np.zeros(len(poses), np.int8)
     problem[statistics.n_beams == 0] = PROBLEMS.index("no mapped obstacle in view")
     grid = grid_of(model)
-    if grid is not None:
+    if grid is not None and finder.n_beams:
         origins = compose(np.where(posed[:, None], poses, 0.0), finder.mounts[0])[:, :2]
         problem[grid.look_up(grid.occupied, origins)] = PROBLEMS.index("inside a wall")
         problem[grid.look_up(np.zeros(grid.shape, bool), origins, outside=True)] = PROBLEMS.index("off the map")

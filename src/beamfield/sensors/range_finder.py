@@ -75,8 +75,11 @@ class RangeFinder:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        mounts = np.array(as_poses(self.mounts, "mounts"))
-        require(mounts.ndim == 2, "mounts", "shape (k, 3)", mounts.shape)
+        given = as_floats(self.mounts, "mounts")
+        if given.ndim != 2:
+            hint = "; RangeFinder.from_bearings(bearings, max_range) takes bearings" if given.ndim == 1 else ""
+            raise InvalidInputError(f"mounts: expected shape (k, 3), got {given.shape}{hint}")
+        mounts = np.array(as_poses(given, "mounts"), order="C")
         # Whole numbers would be another type to the compiler.
         limits = {name: float(getattr(self, name)) for name in ("max_range", "min_range", "opening_angle")}
         keep(self, mounts=mounts, **limits)

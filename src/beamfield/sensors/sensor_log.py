@@ -104,7 +104,7 @@ class SensorLog:
         check_fields(self)
         t, k = np.size(self.stamps), self.finder.n_beams
         for name, shape in (("stamps", (t,)), ("ranges", (t, k)), ("poses", (t, 3)), ("odometry", (t, 3))):
-            array = np.array(as_floats(getattr(self, name), name))
+            array = np.array(as_floats(getattr(self, name), name), order="C")
             require(array.shape == shape, name, f"shape {shape}", array.shape)
             keep(self, **{name: array})
 
@@ -145,7 +145,8 @@ class SensorLog:
             If the log has no scan of that number; it is an IndexError, too.
         """
         if isinstance(index, Integral) and not -len(self) <= index < len(self):
-            raise NoSuchIndexError(f"index: expected a scan from {-len(self)} to {len(self) - 1}, got {index}")
+            there = f"expected a scan from {-len(self)} to {len(self) - 1}" if len(self) else "the log has no scan"
+            raise NoSuchIndexError(f"index: {there}, got {index}")
         return Scan(self.ranges[index], self.finder, float(self.stamps[index]))
 
     @checked

@@ -13,6 +13,8 @@ from beamfield.io.files.yaml_file import YamlFile
 from beamfield.printable import printable
 from beamfield.sensors import RangeFinder
 
+# Each file has one of these, and is named after it.
+SECTIONS = ("beam_model", "likelihood_field", "landmark_model")
 # How much beams count (6.3.4).
 COUNTING = ("exponent", "single_scan_exponent", "n_beams")
 
@@ -66,7 +68,9 @@ def named_numbers(
     FormatError names the line if the section or a parameter is missing, a parameter is unknown or no finite number.
     """
     if not isinstance(file.values, dict) or section not in file.values:
-        raise file.error(f"the key {section!r} is missing; expected a {section}.yaml of beamfield")
+        other = next((name for name in SECTIONS if isinstance(file.values, dict) and name in file.values), None)
+        got = f", got a {other}.yaml" if other else ""
+        raise file.error(f"the key {section!r} is missing; expected a {section}.yaml of beamfield{got}")
     given = file.value(section)
     if not isinstance(given, dict):
         raise file.error(f"expected the parameters' names and values, got {given!r}", section)

@@ -50,7 +50,9 @@ def likelihood_field_text(
     """
     rounded = {name: six_digits(getattr(parameters, name)) for name in PARAMETERS}
     if rounded["z_hit"] + rounded["z_rand"] > 1.0:
-        rounded["z_rand"] = round(1.0 - rounded["z_hit"], 12)
+        # The larger gives way: without z_rand, a beam far from all walls would make a pose impossible.
+        larger, other = sorted(("z_hit", "z_rand"), key=rounded.__getitem__, reverse=True)
+        rounded[larger] = round(1.0 - rounded[other], 12)
     document = {
         "likelihood_field": {**rounded, **counting_section(exponent, single_scan_exponent, n_beams)},
         "sensor": sensor_section(finder),

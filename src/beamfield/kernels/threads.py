@@ -210,9 +210,8 @@ _here = threading.local()
 def _call_for_help(job: _Job, n: int) -> None:
     """Ask so many threads for help, and start those that there are not yet."""
     global _n_helpers
-    with suppress(
-        RuntimeError
-    ):  # no more threads to be had, as where a container limits them: those that are there help
+    # Where a container limits threads and no more can be had, those that are there help.
+    with suppress(RuntimeError):
         while _n_helpers < n:
             with _starting:
                 if _n_helpers < n:

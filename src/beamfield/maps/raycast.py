@@ -90,6 +90,8 @@ class RayCaster:
     device: Literal["cpu", "cuda"] = field(default="cpu", kw_only=True)
     _rectangles: NDArray[np.uint16] = field(init=False, repr=False)
     _on_device: Any = field(init=False, repr=False)
+    _frame: tuple[float, float, float] = field(init=False, repr=False)
+    _cells: tuple[NDArray[np.uint16], int, int, float] = field(init=False, repr=False)
 
     __repr__ = short_repr
 
@@ -98,7 +100,7 @@ class RayCaster:
         require(self.unknown in ("free", "occupied"), "unknown", "'free' or 'occupied'", self.unknown)
         require_device(self.device)
         keep(self, _rectangles=_rectangles_of(self.grid, self.unknown))
-        self._upload()
+        self._prepare()
 
     @property
     def table_bytes(self) -> int:
@@ -141,7 +143,7 @@ class RayCaster:
         robots, k = as_poses(poses), finder.n_beams
         ranges: FloatArray = np.empty((*robots.shape[:-1], k))
         rows, results = pose_rows(robots), ranges.reshape(-1)
-        frame, terrain = frame_of(self.grid), self._terrain(finder.max_range)
+        frame, terrain = self._frame, self._terrain(finder.max_range)
         fan, same_mount = _fan(finder, self.grid.resolution)
         if self.device == "cuda":
             self._cast_on_device(rows, fan, terrain, results)
@@ -176,7 +178,7 @@ class RayCaster:
         robots, k = as_poses(poses), finder.n_beams
         cells = np.empty((*robots.shape[:-1], k, 2), np.int32)
         rows, results = pose_rows(robots), cells.reshape(-1, 2)
-        frame, terrain = frame_of(self.grid), self._terrain(finder.max_range)
+        frame, terrain = self._frame, self._terrain(finder.max_range)
         fan, _ = _fan(finder, self.grid.resolution)
 
         def work(start: int, stop: int) -> None:
@@ -209,7 +211,7 @@ class RayCaster:
         rays = as_poses(origins, "origins")
         ranges: FloatArray = np.empty(rays.shape[:-1])
         rows, results = pose_rows(rays), ranges.reshape(-1)
-        frame, terrain, ahead = frame_of(self.grid), self._terrain(max_range), one_beam()
+        frame, terrain, ahead = self._frame, self._terrain(max_range), one_beam()
         if self.device == "cuda":
             self._cast_on_device(rows, ahead, terrain, results)
             return ranges
@@ -241,7 +243,7 @@ class RayCaster:
         rays = as_poses(origins, "origins")
         cells = np.empty((*rays.shape[:-1], 2), np.int32)
         rows, results = pose_rows(rays), cells.reshape(-1, 2)
-        frame, terrain, ahead = frame_of(self.grid), self._terrain(max_range), one_beam()
+        frame, terrain, ahead = self._frame, self._terrain(max_range), one_beam()
 
         def work(start: int, stop: int) -> None:
             part = results[start:stop]
@@ -272,37 +274,38 @@ class RayCaster:
 
         fan, _ = _fan(finder, self.grid.resolution)
         terrain = self._terrain(finder.max_range)._replace(table=self._on_device)
-        frame = frame_of(self.grid)
+        frame = self._frame
         cuda_raycast.fill_scan_log_likelihood(pose_rows(poses), frame, fan, terrain, ranges, view, out)
 
     def _cast_on_device(self, rows: FloatArray, fan: FloatArray, terrain: Terrain, results: FloatArray) -> None:
         from beamfield.kernels import cuda_raycast
 
         terrain = terrain._replace(table=self._on_device)
-        cuda_raycast.cast_fan(rows, frame_of(self.grid), fan, terrain, results)
+        cuda_raycast.cast_fan(rows, self._frame, fan, terrain, results)
 
-    def _upload(self) -> None:
-        table = None
+    def _prepare(self) -> None:
+        """Keep what follows from the other fields, in the form that kernels take."""
+        table, (rows, cols) = self._rectangles.reshape(-1), self.grid.shape
+        on_device = None
         if self.device == "cuda":
             from beamfield.kernels.cuda_target import upload
 
-            table = upload(self._rectangles.reshape(-1))
-        keep(self, _on_device=table)
+            on_device = upload(table)
+        keep(self, _on_device=on_device, _frame=frame_of(self.grid), _cells=(table, rows, cols, self.grid.resolution))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is in a GPU's memory."""
-        return {name: value for name, value in self.__dict__.items() if name != "_on_device"}
+        """Leave out what follows from the rest."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_on_device", "_frame", "_cells")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         restore(self, state)
         require_device(self.device)
-        self._upload()
+        self._prepare()
 
     def _terrain(self, max_range: float) -> Terrain:
         require(0.0 < max_range < np.inf, "max_range", "a positive finite number of metres", max_range)
-        rows, cols = self.grid.shape
-        resolution, longest = self.grid.resolution, float(max_range)
-        return Terrain(self._rectangles.reshape(-1), rows, cols, resolution, longest, longest / resolution)
+        longest = float(max_range)
+        return Terrain(*self._cells, longest, longest / self._cells[3])
 
 
 def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:

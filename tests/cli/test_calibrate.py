@@ -118,6 +118,21 @@ class TestResult:
         assert '<h3>Independent beams</h3></summary>\n<div id="independent-beams">' in page
         assert said in page
 
+    def test_it_says_which_file_localizes_better(self, run: tuple[Path, str]):
+        out, text = run
+        document = json.loads((out / "calibration.json").read_text())["own_filter"]
+        runs = document["runs"]
+        assert list(runs) == ["likelihood_field.yaml", "beam_model.yaml"]
+        # The map is right: the beam model knows which side of a wall it sees.
+        assert runs["beam_model.yaml"]["mean"] < runs["likelihood_field.yaml"]["mean"] < 0.1
+        assert [one["lost"] for one in runs.values()] == [0, 0]
+        assert document["best"] == "beam_model.yaml"
+        said = "Localize with beam_model.yaml: in beamfield&#x27;s own filter it errs least on this log."
+        page = (out / "report.html").read_text()
+        assert said in page
+        assert said.replace("&#x27;", "'") in text
+        assert f"{runs['beam_model.yaml']['mean']:.3f}" in page
+
     def test_the_provenance_names_inputs_by_hash_and_no_folder(self, out: Path, world: Path):
         origin = json.loads((out / "calibration.json").read_text())["provenance"]
         assert not {"mask", "poses_topic"} & origin["options"].keys()  # not given
@@ -150,7 +165,8 @@ def test_what_is_found_of_the_field_is_among_the_main_findings_and_in_the_verdic
     world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     def doubtful(*given):
-        return replace(learn_field(*given), findings=(Finding("field-says-nothing", "warning", "No better."),))
+        part, field = learn_field(*given)
+        return replace(part, findings=(Finding("field-says-nothing", "warning", "No better."),)), field
 
     monkeypatch.setattr("beamfield.cli.calibrate_sensor.learn_field", doubtful)
     assert calibrate(world, tmp_path / "out", "--no-refine", quiet=False) == 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -215,6 +216,23 @@ def test_a_learned_field_brings_its_exponent_and_number_of_beams(folder, tmp_pat
             assert at_the_reference(text) == pytest.approx(expected, abs=0.05)
         else:
             assert "likelier still" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_model_is_that_of_the_file(folder, tmp_path, capsys):
+    path, finder = tmp_path / "learned.yaml", make_log(make_grid()).finder
+    field = LikelihoodFieldParameters(0.8, 0.15, 0.1)
+    texts = {
+        "likelihood_field": likelihood_field_text(field, finder, exponent=1.0, n_beams=40),
+        "beam": beam_model_text(TRUTH, finder),
+    }
+    for model, text in texts.items():
+        path.write_text(text)
+        assert run(folder, "--params", str(path), "--json", "--quiet") == 0
+        assert json.loads(capsys.readouterr().out)["model"] == model
+    path.unlink()
+    assert run(folder, "--params", str(path)) == 1
+    assert "learned.yaml: No such file or directory" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -209,8 +209,9 @@ def test_a_start_given_is_where_it_starts(folder, capsys, drive):
 @pytest.mark.parametrize(
     "words",
     [
-        ("--params", "beam_model.yaml", "--model", "beam", "--beams", "15"),
-        ("--params", "beam_model.yaml", "--leave-out-short", "--beams", "0", "--odometry-error", "2"),
+        ("--params", "beam_model.yaml", "--beams", "15"),
+        ("--params", "beam_model.yaml", "--model", "likelihood_field", "--leave-out-short", "--beams", "0"),
+        ("--params", "beam_model.yaml", "--odometry-error", "2"),
         ("--params", "likelihood_field.yaml", "--exponent", "0.1"),
     ],
 )
@@ -223,15 +224,22 @@ def test_models_and_options_are_taken(folder, capsys, words):
 def test_a_field_from_a_beam_model_says_what_it_leaves_out(folder, tmp_path, capsys, drive, truth):
     path = tmp_path / "beam_model.yaml"
     path.write_text(beam_model_text(replace(truth, range_offset=0.03), drive.finder))
-    assert run(folder, "--particles", "300", "--params", str(path)) == 0
+    assert run(folder, "--particles", "300", "--params", str(path), "--model", "likelihood_field") == 0
     shown = capsys.readouterr()
     assert "beam_model.yaml has range_offset 0.03, which a likelihood field cannot have" in shown.err
-    assert "beam_model.yaml is a beam model: a likelihood field runs with its z_hit, z_rand and sigma_hit" in shown.err
     assert "filter: beamfield's own, likelihood field" in shown.out
-    assert run(folder, "--particles", "300", "--params", str(path), "--model", "beam") == 0
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    ("params", "model"),
+    [((), "likelihood field"), (("likelihood_field.yaml",), "likelihood field"), (("beam_model.yaml",), "beam model")],
+)
+def test_the_model_is_that_of_the_file(folder, capsys, params, model):
+    assert run(folder, "--particles", "300", *(word for path in params for word in ("--params", path))) == 0
     shown = capsys.readouterr()
-    assert "is a beam model" not in shown.err
-    assert "filter: beamfield's own, beam model" in shown.out
+    assert f"filter: beamfield's own, {model}" in shown.out
+    assert "cannot have" not in shown.err
 
 
 @pytest.mark.usefixtures("undrawn")

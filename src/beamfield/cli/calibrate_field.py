@@ -10,6 +10,7 @@ from beamfield.errors import TooLittleDataError
 
 if TYPE_CHECKING:
     from beamfield.calibration.calibrate import Calibration
+    from beamfield.calibration.field.learning import FieldLearning
     from beamfield.cli.calibrate_sensor import CalibrationJob
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import SensorLog
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
 NAME = "likelihood_field"
 
 
-def learn_field(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> ReportPart:
+def learn_field(
+    job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration
+) -> tuple[ReportPart, FieldLearning | None]:
     """Learn the likelihood field from the log and the map that the beam model was learned from."""
     from beamfield.calibration.field.learning import learn_field_parameters
     from beamfield.report.as_json import plain
@@ -39,9 +42,10 @@ def learn_field(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, res
     except TooLittleDataError as error:
         why = str(error)
         section = PageSection.without(ANCHOR, TITLE, f"Not learned: {why}.")
-        return ReportPart(NAME, f"no likelihood field: {why}", {"missing": why}, section)
+        return ReportPart(NAME, f"no likelihood field: {why}", {"missing": why}, section), None
     text = field_text(learned, provenance=job.origin)
-    return ReportPart(
+    part = ReportPart(
         NAME, field_tables(learned, width=line_width()), plain(learned), field_section(learned, text),
         {f"{NAME}.yaml": text}, learned.findings,
     )  # fmt: skip
+    return part, learned

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import CrossFitMaps, build_cross_fit_maps
+from beamfield.cli.calibrate_choice import choose_own_model
 from beamfield.cli.calibrate_exponent import learn_beam_exponent
 from beamfield.cli.calibrate_field import learn_field
 from beamfield.cli.calibrate_fitted import cross_fitted, judge_fitted, with_fitted_error
@@ -157,7 +158,10 @@ class CalibrationJob:
             result = replace(result, findings=with_map_judged(result.findings, fitted))
         counting, exponents = learn_beam_exponent(self, sensor, self.grid, result)
         parts = [] if fitted is None else [judge_fitted(self, fitted, self.grid, result)]
-        parts += [counting, learn_field(self, sensor, self.grid, result)]
+        of_field, field = learn_field(self, sensor, self.grid, result)
+        parts += [counting, of_field]
+        choice = choose_own_model(self, sensor, self.grid, result, exponents, field)
+        parts += [] if choice is None else [choice]
         found = [finding for part in parts for finding in part.findings]
         result = replace(result, findings=(*result.findings, *found))
         motion: dict[str, Any] = {}

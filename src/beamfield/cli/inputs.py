@@ -96,6 +96,15 @@ def read_own_beam_model(path: Path) -> SavedBeamModel:
         return read_beam_model(path)
 
 
+def model_of(arguments: argparse.Namespace, usual: str) -> str:
+    """Return the model that --model names; without it the one that --params holds, or else the usual one."""
+    from beamfield.stacks.files.other_files import own_model
+
+    if arguments.model is not None or arguments.params is None:
+        return arguments.model or usual
+    return {"likelihood_field": "likelihood_field", "beam_model": "beam"}.get(own_model(arguments.params), usual)
+
+
 def read_field_or_beam_model(path: Path) -> SavedLikelihoodField | SavedBeamModel:
     """Read --params of a likelihood field: a likelihood_field.yaml, or a beam_model.yaml in its place."""
     from beamfield.io.parameters.beam_model_file import read_beam_model

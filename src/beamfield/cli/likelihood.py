@@ -53,10 +53,11 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument(
         "--scan", type=index, required=True, metavar="I", help="index of the scan in the log, from 0 on"
     )
-    parser.add_argument("--model", choices=tuple(MODELS), default="beam", help="measurement model (default: beam)")
+    parser.add_argument("--model", choices=tuple(MODELS),
+                        help="measurement model (default: that of the file, or beam)")  # fmt: skip
     options.add_poses(parser)
-    options.add_params(parser, "a beam_model.yaml, or with --model likelihood_field a likelihood_field.yaml, from "
-                      "beamfield calibrate (default: typical values)")  # fmt: skip
+    options.add_params(parser, "a beam_model.yaml or likelihood_field.yaml from beamfield calibrate (default: typical "
+                      "values)")  # fmt: skip
     options.add_range_table(parser)
     options.add_out(parser, "beamfield_likelihood.png", metavar="FILE", what=f"picture ({', '.join(options.PICTURES)})")
     parser.add_argument(
@@ -87,6 +88,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     options.check_output(arguments.out, "out", *options.PICTURES)
     options.check_output(arguments.npz, "npz", ".npz")
+    arguments = argparse.Namespace(**{**vars(arguments), "model": inputs.model_of(arguments, "beam")})
     with options.progress(arguments) as progress:
         grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)
         if not grid.free.any():

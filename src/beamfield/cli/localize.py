@@ -62,7 +62,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     options.add_map(parser, required=True)
     options.add_poses(parser)
     parser.add_argument("--model", choices=("likelihood_field", "beam"),
-                        help="measurement model (default: likelihood_field)")  # fmt: skip
+                        help="measurement model (default: that of the file, or likelihood_field)")  # fmt: skip
     options.add_params(parser, "a likelihood_field.yaml or beam_model.yaml from beamfield calibrate (default: typical "
                        "values), or a file of nav2 or another stack, whose filter then runs")  # fmt: skip
     parser.add_argument("--stack", metavar="NAME",
@@ -206,6 +206,7 @@ def _filter(
     if is_stack_file(arguments.params):
         return stack_filter(log, grid, start, arguments)
     options.refuse(arguments, ("stack", "section"), "is for a file of another program, give that with --params")
+    arguments = argparse.Namespace(**{**vars(arguments), "model": inputs.model_of(arguments, "likelihood_field")})
     model, notes = _model(log, grid, arguments)
     localizer, rng = _localizer(model, grid, arguments), np.random.default_rng(arguments.seed)
 
@@ -261,9 +262,6 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     if not isinstance(saved, SavedLikelihoodField):
         if saved is not None:
             notes = inputs.left_out_of_a_field(parameters, arguments.params)
-            if arguments.model is None:
-                numbers = "a likelihood field runs with its z_hit, z_rand and sigma_hit"
-                notes.insert(0, f"{arguments.params} is a beam model: {numbers}; --model beam runs the model itself")
         parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=EXTENSIONS)
     return LikelihoodFieldModel(hollowed(grid), parameters, **how), notes
 

@@ -9,6 +9,7 @@ from beamfield.lazy_names import lazy_names
 _NAMES = {
     "coarse_model": ("CoarseModel",),
     "fitted_poses": ("cross_fit_poses",),
+    "model_choice": ("choose_model",),
     "search_window": ("SearchWindow",),
     "particle_filter": ("FilterOptions",),
     "particles": ("belief_poses", "free_poses"),

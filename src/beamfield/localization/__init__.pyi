@@ -3,6 +3,7 @@
 # ruff: noqa: I001 - several names a line, as in the front door's
 
 from beamfield.localization.fitted_poses import cross_fit_poses as cross_fit_poses
+from beamfield.localization.model_choice import choose_model as choose_model
 from beamfield.localization.search_window import SearchWindow as SearchWindow
 from beamfield.localization.particle_filter import FilterOptions as FilterOptions
 from beamfield.localization.coarse_model import CoarseModel as CoarseModel

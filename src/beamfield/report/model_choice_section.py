@@ -1,0 +1,60 @@
+"""Which model localizes better in our own filter: text for the terminal, a section of the page, plain values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from beamfield.localization.model_choice import ModelChoice
+from beamfield.localization.replay_comparison import ReplayTrials
+from beamfield.report.escape import escaped
+from beamfield.report.page import table
+from beamfield.report.page_section import PageSection
+from beamfield.report.text_table import aligned
+
+ANCHOR, TITLE = "own-filter", "Which file localizes better"
+HEADER = ("beamfield localize --params", "mean error [m]", "95% [m]", "heading [deg]", "lost runs")
+
+
+def choice_table(choice: ModelChoice) -> str:
+    """Return what is printed."""
+    return f"{aligned(HEADER, _rows(choice), right=(1, 2, 3, 4))}\n\n{choice_sentence(choice)}"
+
+
+def choice_sentence(choice: ModelChoice) -> str:
+    """Return in words which file to take."""
+    best = choice.trials[choice.best]
+    said = f"Localize with {choice.best}: in beamfield's own filter it errs least on this log"
+    if 2 * best.n_lost < len(best):
+        return f"{said}."
+    return (
+        f"{said}, but is lost all the same in {best.n_lost} of {len(best)} runs: odometry may be worse than usual "
+        "(beamfield localize --odometry-error 2)."
+    )
+
+
+def choice_section(choice: ModelChoice) -> PageSection:
+    """Return the section of the report."""
+    markup = (
+        f"<p>{escaped(choice_sentence(choice))}</p>{table(HEADER, _rows(choice), right=(1, 2, 3, 4))}"
+        "<p>Distance to the reference poses of this log, from which both were learned, of <code>beamfield localize"
+        "</code> with the usual noise of odometry; means over runs from a start known to 0.5 m and 15 degrees.</p>"
+    )
+    return PageSection(ANCHOR, TITLE, markup)
+
+
+def choice_as_dict(choice: ModelChoice) -> dict[str, Any]:
+    """Return plain values for JSON."""
+    return {"best": choice.best, "runs": {name: _numbers(trials) for name, trials in choice.trials.items()}}
+
+
+def _numbers(trials: ReplayTrials) -> dict[str, Any]:
+    measures = ("mean", "p95", "yaw_mean_deg")
+    return {**{name: trials.mean(name) for name in measures}, "lost": trials.n_lost, "n_runs": len(trials)}
+
+
+def _rows(choice: ModelChoice) -> list[tuple[str, ...]]:
+    return [
+        (name, *(f"{trials.mean(measure):.3f}" for measure in ("mean", "p95", "yaw_mean_deg")),
+         f"{trials.n_lost} of {len(trials)}")
+        for name, trials in choice.trials.items()
+    ]  # fmt: skip

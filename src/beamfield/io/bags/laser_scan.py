@@ -370,12 +370,10 @@ def _stray(stamps: FloatArray) -> NDArray[np.bool_]:
     After a clock was set the neighbours are not, and a message that another has overtaken is behind one alone.
     """
     before, after = np.append(-np.inf, stamps[:-1]), np.append(stamps[1:], np.inf)
+    after_next = np.full(len(stamps), -np.inf)
+    after_next[:-2] = stamps[2:]
     between = before <= after
-    ahead = (
-        between
-        & (stamps - after > STAMP_TOLERANCE)
-        & (stamps > np.append(stamps[2:], [-np.inf, -np.inf])[: len(stamps)])
-    )
+    ahead = between & (stamps - after > STAMP_TOLERANCE) & (stamps > after_next)
     behind = between & (before - stamps > LATEST) & ~np.append(False, ahead[:-1])
     stray = ahead | behind
     return stray if stray.sum() <= max(1.0, LATE_SHARE * len(stamps)) else np.zeros(len(stamps), dtype=bool)

@@ -28,7 +28,6 @@ from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.fit import StackFit, fit_stack
 from beamfield.stacks.fit.motion_candidates import BEFORE, motion_candidates
 from beamfield.stacks.fit.replay_choice import ReplayChoice, choose_by_replay, replay_options
-from beamfield.stacks.fit.replay_runs import shifted_map
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.stack import FIELD_PRODUCT
@@ -114,7 +113,7 @@ def rows(place: Place, stack: str, model: str, n_seeds: int, *, any_model: bool)
         if choice.chosen is not choice.before:
             settings[describe(choice.chosen)] = choice.chosen
         for which, setting in settings.items():
-            trials = run_trials(setting.filter.filter(shifted_map(place.grid, setting.shift)), log, range(n_seeds))
+            trials = run_trials(setting.filter.filter(setting.map_of(place.grid)), log, range(n_seeds))
             table.append({
                 "stack": stack, "model": model, "log": title, "values": which,
                 "mean error [m]": f"{trials.mean('mean'):.3f}",

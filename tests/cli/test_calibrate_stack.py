@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +19,10 @@ from beamfield.cli.main import main
 from beamfield.cli.report_part import StackPart
 from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_map import read_map
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.solids import hollowed
 from beamfield.report.page_section import PageSection
 from beamfield.report.verdict import DOUBTS
 from beamfield.stacks.files.calibration_record import goes_with_moved_map
@@ -122,6 +126,36 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     assert document["verdict"].startswith("Use the new values: replayed in nav2's own filter, emulated")
     assert document["replay"]["error"]["after"] < document["replay"]["error"]["before"]
     assert 'id="stack-choice"' in page
+
+
+def test_for_a_map_painted_black_where_nothing_is_known_amcl_gets_one_that_is_not(world, tmp_path, capsys):
+    known = read_map(world / "map.yaml")
+    cells = np.pad(np.where(known.free, 0.0, 1.0), 80, constant_values=1.0)
+    corner = known.origin - np.array([*[80 * known.resolution] * 2, 0.0])
+    black = OccupancyGrid(cells, known.resolution, corner, known.occupied_thresh, known.free_thresh)
+    write_map(black, tmp_path / "map.yaml")
+    shutil.copy(world / "log.carmen", tmp_path)
+    mine, out = tmp_path / "mine.yaml", tmp_path / "out"
+    mine.write_text(MINE)
+    main(["doctor", str(mine), "--map", str(tmp_path / "map.yaml")])
+    assert "warning: map-painted-black" in capsys.readouterr().out
+    asked = ("--stack", "nav2", "--model", "likelihood_field", "--patch", str(mine))
+    assert calibrate(tmp_path, out, *asked, quiet=False) == 0
+    printed = capsys.readouterr().out
+    assert f"--filter-maps {tmp_path / 'map.yaml'} {out / 'amcl_map.yaml'}" in printed
+    assert "amcl_map.yaml, your map unknown where it is painted black far from what is free, and with its" in printed
+    chosen = json.loads((out / "calibration.json").read_text())["stack"]["replay"]["chosen"]
+    assert (chosen["origin_shift"], chosen["solids"]) == (0.025, "hollow")
+    corrected, expected = read_map(out / "amcl_map.yaml"), hollowed(black)
+    np.testing.assert_array_equal(corrected.probability, expected.probability)
+    np.testing.assert_allclose(corrected.origin, black.origin + np.array([0.025, 0.025, 0.0]), atol=1e-9)
+    assert "# map.yaml for amcl alone: it is unknown where" in (out / "amcl_map.yaml").read_text()
+    assert (out / "amcl_map.pgm").exists()
+    main(["doctor", str(mine), "--map", str(out / "amcl_map.yaml")])
+    assert "map-painted-black" not in capsys.readouterr().out
+    # Asked to keep the map, it does.
+    assert calibrate(tmp_path, tmp_path / "kept", *asked, "--keep-map") in (0, 3)
+    assert not (tmp_path / "kept" / "amcl_map.yaml").exists()
 
 
 def test_without_a_model_all_are_fitted_and_the_best_is_written(world, tmp_path, capsys, monkeypatch):
@@ -304,7 +338,7 @@ def test_where_map_or_poses_are_wrong_the_users_file_stays(world, tmp_path, caps
 
 def test_values_are_fitted_in_a_map_that_is_out_of_date_but_not_in_that_of_another_place(monkeypatch):
     monkeypatch.setattr("beamfield.stacks.fit.fit.fit_stack", lambda _, name, *__, **___: name)
-    arguments = SimpleNamespace(stack="nav2", model="beam", reference_error=0.04, seed=0, block=None)
+    arguments = SimpleNamespace(stack="nav2", model="beam", reference_error=0.04, seed=0, block=None, keep_map=True)
     job = SimpleNamespace(arguments=arguments, patched=None, progress=None)
 
     def fits_with(name: str) -> list[str]:
@@ -331,7 +365,7 @@ def test_for_a_file_its_own_model_is_tried_and_a_product_instead_of_a_sum(tmp_pa
     mine.write_text(MINE.replace('"likelihood_field"', model))
     monkeypatch.setattr("beamfield.stacks.fit.fit.fit_stack", lambda _, name, *__, start, **___: (name, start))
     job = SimpleNamespace(
-        arguments=SimpleNamespace(stack="nav2", model=said, reference_error=0.04, seed=0, block=None),
+        arguments=SimpleNamespace(stack="nav2", model=said, reference_error=0.04, seed=0, block=None, keep_map=True),
         patched=read_stack_file(mine, stack="nav2", model=said), progress=None,
     )  # fmt: skip
     result = SimpleNamespace(findings=(), candidates=(), options=SimpleNamespace(selection=None))

@@ -67,7 +67,7 @@ class Runs(list):
 def replayed(*, lost: tuple[int, int] = (0, 0), is_better: bool = True, stretches: int = 4) -> StackResult:
     """What replay decided by 15 runs on each stretch, before and after."""
     kept = SimpleNamespace(
-        filter=SimpleNamespace(model="beam", particles=AmclFilterParameters()), shift=0.0, sensor="fitted"
+        filter=SimpleNamespace(model="beam", particles=AmclFilterParameters()), changes_map=False, sensor="fitted"
     )
     before, after = ([Runs(15, n), *[Runs(15)] * (stretches - 1)] for n in lost)
     fit = fitted()

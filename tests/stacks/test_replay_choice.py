@@ -117,6 +117,33 @@ def test_for_a_file_that_goes_with_the_moved_map_all_is_replayed_with_it(office,
     assert choice.error.before == alone.error.before
 
 
+def test_a_map_painted_black_where_nothing_is_known_is_set_right(office, drive):
+    shape = tuple(n + 160 for n in office.shape)
+    cells = np.ones(shape, np.float32)
+    cells[80:-80, 80:-80] = np.where(office.free, 0.0, 1.0)
+    black = replace(office, probability=cells, origin=office.origin - np.array([*[80 * office.resolution] * 2, 0.0]))
+    stretches = cut_segments(drive, 0.25, 0.2, most=3, longest=25)
+    own = replace(nav2_filter(), model="likelihood_field", sensor=Nav2Parameters(max_beams=30))
+    asked = own, {"before": (own.model, own.sensor)}, MotionCandidates({"before": {}}, None), 0.0, stretches, black
+    choice = choose_by_replay(*asked, FEW, hollow=True)
+    assert choice.is_better
+    assert choice.before.key == Key("before", "before", 0.0, "before")
+    assert choice.chosen.key == Key("before", "before", 0.0, "before", "hollow")
+    assert choice.chosen.changes_map
+    assert choice.n_settings == 2
+    assert choice.parts.keys() == {"solids"}
+    assert choice.error.after < 0.7 * choice.error.before
+    assert replay_as_dict(choice)["chosen"]["solids"] == "hollow"
+    assert replay_verdict(choice).startswith("Use the corrected map with nav2's defaults: replayed")
+    printed = replay_tables(choice)
+    assert "2 settings of sensor, motion noise and solids of the map were replayed" in printed
+    assert "chosen: sensor before, motion noise before, map's solids hollow" in printed
+    # For a file whose filter reads such a map already, there is nothing to choose.
+    there = choose_by_replay(*asked, FEW, hollow=True, is_moved=True)
+    assert there.before.key == there.chosen.key == Key("before", "before", 0.0, "before", "hollow")
+    assert there.n_settings == 1
+
+
 def test_values_that_nothing_beats_are_kept(office, stretches):
     own = nav2_filter(**GOOD)
     worse = replace(SENSOR, z_hit=0.0, z_rand=1.0)  # says nothing
@@ -452,7 +479,7 @@ def test_a_file_whose_values_were_chosen_for_the_moved_map_is_replayed_with_it(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(
         "beamfield.stacks.fit.replay_choice.choose_by_replay",
-        lambda *inputs, is_moved: (inputs[3] == 0.5 * office.resolution, is_moved),
+        lambda *inputs, hollow, is_moved: (inputs[3] == 0.5 * office.resolution, is_moved or hollow),
     )
     assert replay_fit(job, drive, office, fit, [], {}) == (asked, "")
 

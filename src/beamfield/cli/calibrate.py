@@ -122,7 +122,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             place = folder / folders[name]
             place.mkdir(exist_ok=True)
             for file_name, content in result.files.items():
-                (place / file_name).write_text(content, encoding="utf-8")
+                (place / file_name).write_bytes(content if isinstance(content, bytes) else content.encode())
         recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
     if arguments.stack is not None:
         maps = [
@@ -174,13 +174,14 @@ def _check(arguments: argparse.Namespace) -> None:
 def _check_stack_files(arguments: argparse.Namespace) -> None:
     """Refuse an output folder where the stack's new files would replace the file to patch, or another input."""
     from beamfield.io.files.atomic import check_folder_writable, kept_files
-    from beamfield.stacks.files.calibration_record import MOVED_MAP
+    from beamfield.stacks.files.calibration_record import MOVED_MAP, MOVED_PICTURE
     from beamfield.stacks.registry import STACKS
 
     # The file to patch is changed in the end, but not by a new file of the same name.
     patched = [] if arguments.patch is None else [arguments.patch]
     with kept_files([*input_files(arguments), *patched]):
-        check_folder_writable(arguments.out, f"{arguments.stack}.{STACKS[arguments.stack].syntax}", MOVED_MAP)
+        own = f"{arguments.stack}.{STACKS[arguments.stack].syntax}"
+        check_folder_writable(arguments.out, own, MOVED_MAP, MOVED_PICTURE)
 
 
 def _options(arguments: argparse.Namespace) -> CalibrationOptions:

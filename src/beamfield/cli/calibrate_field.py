@@ -23,6 +23,7 @@ def learn_field(
 ) -> tuple[ReportPart, FieldLearning | None]:
     """Learn the likelihood field from the log and the map that the beam model was learned from."""
     from beamfield.calibration.field.learning import learn_field_parameters
+    from beamfield.maps.solids import hollowed
     from beamfield.report.as_json import plain
     from beamfield.report.field_section import ANCHOR, TITLE, field_section, field_tables
     from beamfield.report.page_section import PageSection
@@ -30,9 +31,10 @@ def learn_field(
 
     job.progress("learning the likelihood field", 0, 1)
     try:
+        # As `localize` takes it.
         learned = learn_field_parameters(
             sensor,
-            grid,
+            hollowed(grid),
             beam_parameters=result.parameters,
             reference_error=job.arguments.reference_error,
             selection=result.options.selection,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.errors import FormatError, TooLittleDataError
-from beamfield.stacks.files.calibration_record import MOVED_MAP
+from beamfield.stacks.files.calibration_record import MOVED_MAP, MOVED_PICTURE
 
 if TYPE_CHECKING:
     from beamfield.cli.calibrate_sensor import CalibrationJob
@@ -55,39 +55,65 @@ def replay_fit(
     for other in others:
         sensors[f"{other.model.model} fitted"] = other.model.model, other.parameters
     shift = _shift(job, before, grid)
+    hollow = takes_hollow_map(job, before.stack, before.model, grid)
     inputs = before, sensors, motions, shift, stretches, grid, options
-    is_moved = bool(shift) and job.patched is not None and goes_with_moved_map(job.patched.section.text)
+    its_own = job.patched is not None and goes_with_moved_map(job.patched.section.text)
+    is_moved = (bool(shift) or hollow) and its_own
     try:
-        with kept_runs(_cache_folder(), (inputs, is_moved)) as kept:
-            return choose_by_replay(*inputs, job.progress, kept, is_moved=is_moved), ""
+        with kept_runs(_cache_folder(), (inputs, hollow, is_moved)) as kept:
+            return choose_by_replay(*inputs, job.progress, kept, hollow=hollow, is_moved=is_moved), ""
     except TooLittleDataError as problem:
         return None, str(problem)
 
 
-def shifted_map_file(job: CalibrationJob, choice: ReplayChoice) -> dict[str, str]:
-    """Return the file of the map with another origin, by name; none if the origin stays."""
+def filter_map_files(job: CalibrationJob, choice: ReplayChoice, grid: OccupancyGrid) -> dict[str, str | bytes]:
+    """Return the files of the filter's own map, by name; none if it is the user's."""
     from beamfield.cli.inputs import OF_MOVED_MAP
     from beamfield.cli.provenance import file_name
     from beamfield.io.maps.ros_map import image_path
-    from beamfield.io.maps.ros_map_writer import moved_map_text
+    from beamfield.io.maps.ros_map_writer import map_files, moved_map_text
+    from beamfield.stacks.fit.replay_runs import HOLLOW
 
-    shift, arguments = choice.chosen.shift, job.arguments
-    if not shift:
+    setting, arguments = choice.chosen, job.arguments
+    if not setting.changes_map:
         return {}
-    # Files of several sensors lie in folders of their own.
-    folder = arguments.out / "sensor" if len(arguments.sensor or []) > 1 else arguments.out
-    image, place = image_path(arguments.map).resolve(), folder.resolve()
-    # An absolute path outlives a copy of this file.
-    named = image.relative_to(place) if image.is_relative_to(place) else image
+    what, why, last, files = [], [], [], {}
+    if setting.solids == HOLLOW:
+        text, files[MOVED_PICTURE] = map_files(setting.map_of(grid), MOVED_PICTURE, "trinary")
+        what.append("it is unknown where the map is painted black far from what is free")
+        why += ["The filter's field is as high inside of solids as on a wall: poses fit whose readings end there."]
+    else:
+        # Files of several sensors lie in folders of their own.
+        folder = arguments.out / "sensor" if len(arguments.sensor or []) > 1 else arguments.out
+        image, place = image_path(arguments.map).resolve(), folder.resolve()
+        # An absolute path outlives a copy of this file.
+        named = image.relative_to(place) if image.is_relative_to(place) else image
+        text = moved_map_text(arguments.map, (setting.shift, setting.shift), str(named))
+        last = [f"On another computer put this file beside the picture, and write image: {file_name(image)}"]
+    if setting.shift:
+        what.append(f"its origin is moved by {setting.shift:g} m, half a cell, in x and in y")
+        why += [
+            "amcl takes the origin for the centre of the first cell, everything else for its corner. With this origin",
+            "amcl has the walls where they are.",
+        ]
     comments = [
-        f"{file_name(arguments.map)} {OF_MOVED_MAP} {shift:g} m, half a cell, in x and in y.",
-        "amcl takes the origin for the centre of the first cell, everything else for its corner. With this origin amcl",
-        "has the walls where they are. Costmaps, planners and rviz need the map as it was: let a second map_server",
-        "publish this one, on a topic that amcl alone takes.",
-        f"On another computer put this file beside the picture, and write image: {file_name(image)}",
-    ]
-    head = "".join(f"# {line}\n" for line in comments)
-    return {MOVED_MAP: head + moved_map_text(arguments.map, (shift, shift), str(named))}
+        f"{file_name(arguments.map)} {OF_MOVED_MAP} {', and '.join(what)}.", *why,
+        "Costmaps, planners and rviz need the map as it was: let a second map_server publish this one, on a topic that",
+        "amcl alone takes.", *last,
+    ]  # fmt: skip
+    return files | {MOVED_MAP: "".join(f"# {line}\n" for line in comments) + text}
+
+
+def takes_hollow_map(job: CalibrationJob, stack: str, model: str, grid: OccupancyGrid) -> bool:
+    """Return whether a field's map is painted black where nothing is known, and a file may say otherwise."""
+    from beamfield.maps.solids import has_fill
+    from beamfield.stacks.registry import model_named
+
+    return _can_write(job) and model_named(stack, model).weight.of_field and has_fill(grid)
+
+
+def _can_write(job: CalibrationJob) -> bool:
+    return not job.arguments.keep_map and job.arguments.map.suffix in (".yaml", ".yml")
 
 
 def _settings(job: CalibrationJob, fit: StackFit) -> FilterSettings | None:
@@ -112,8 +138,8 @@ def _shift(job: CalibrationJob, before: FilterSettings, grid: OccupancyGrid) -> 
     """Return what sets the map's origin right: half a cell where the program is off by that, and a file may say so."""
     from beamfield.stacks.registry import STACKS
 
-    can_write = not job.arguments.keep_map and job.arguments.map.suffix in (".yaml", ".yml") and grid.origin[2] == 0.0
-    return 0.5 * grid.resolution if STACKS[before.stack].half_cell_low and can_write else 0.0
+    is_wrong = STACKS[before.stack].half_cell_low and grid.origin[2] == 0.0
+    return 0.5 * grid.resolution if is_wrong and _can_write(job) else 0.0
 
 
 def _cache_folder() -> Path:

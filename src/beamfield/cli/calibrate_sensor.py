@@ -56,7 +56,7 @@ class SensorResult:
         The beam model's parameters, and the scans at the poses that they were learned at.
     """
 
-    files: Mapping[str, str]
+    files: Mapping[str, str | bytes]
     table: str
     document: Mapping[str, Any]
     stack: StackPart | None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield import __version__
 from beamfield.cli import options
-from beamfield.cli.calibrate_replay import replay_fit, shifted_map_file
+from beamfield.cli.calibrate_replay import filter_map_files, replay_fit, takes_hollow_map
 from beamfield.cli.report_part import StackPart
 from beamfield.cli.terminal import complain, line_width
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -53,7 +53,8 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--keep-map",
         action="store_true",
-        help="choose values for the map as it is, even if the program reads it half a cell off",
+        help="choose values for the map as it is, even if the program reads it half a cell off, or fits poses into the "
+        "black where nothing is known",
     )
 
 
@@ -137,9 +138,9 @@ def fit_for_stack(
     changed |= found.recovery | ({} if said else noise)
     values = {**asdict(found.parameters), **_motion_for_new_file(job.patched, choice), **changed}
     text = _file_text(job.arguments, found, values, record, said)
-    files = {f"{stack}.{STACKS[stack].syntax}": text}
+    files: dict[str, str | bytes] = {f"{stack}.{STACKS[stack].syntax}": text}
     if choice is not None:
-        files |= shifted_map_file(job, choice)
+        files |= filter_map_files(job, choice, grid)
     return StackPart(
         "stack", "\n\n".join([stack_tables(found, width=line_width()), *said]), stack_as_dict(found),
         stack_section(found, text), files, values=changed, record="; ".join(filter(None, (record, for_map))),
@@ -161,7 +162,7 @@ def _motion_for_new_file(file: StackFile | None, choice: ReplayChoice | None) ->
 
 def _for_map(file: StackFile | None, choice: ReplayChoice | None) -> str:
     """Return what to note in the user's file about the map its values are for; "" if it is the one that it had."""
-    if choice is not None and choice.chosen.shift:
+    if choice is not None and choice.chosen.changes_map:
         return f"chosen for the map {MOVED_MAP}"
     was_moved = choice is not None and file is not None and goes_with_moved_map(file.section.text)
     return "chosen for the map as it is" if was_moved else ""
@@ -182,6 +183,7 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
     For a file to patch it is that of its own model first. If that adds up cubes, which are flat whatever the values,
     that of a field's product comes next.
     """
+    from beamfield.maps.solids import hollowed
     from beamfield.report.verdict import DOUBTS
     from beamfield.stacks.doctor.map_checks import YAW_TOLERANCE
     from beamfield.stacks.files.typed_values import checked_values
@@ -214,7 +216,7 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
     plain = next((form.result.parameters for form in result.candidates if form.is_chapter), None)
     return [
         fit_stack(
-            stack.name, model, sensor, grid,
+            stack.name, model, sensor, hollowed(grid) if takes_hollow_map(job, stack.name, model, grid) else grid,
             start=stack.start(model) if file is None else checked_values(replace(file, model=model)),
             beam_parameters=plain, options=_window_options(job), selection=result.options.selection,
             block_s=arguments.block, progress=job.progress,
@@ -314,6 +316,6 @@ def _file_text(
         *said,
         *(item.text for item in small_z_hit(model.stack, model.model, found.parameters)),
     ]
-    if found.replay is not None and found.replay.chosen.shift:
+    if found.replay is not None and found.replay.chosen.changes_map:
         comments.append(f"for the map {MOVED_MAP} beside this file, see there")
     return new_file_text(arguments.stack, values, comments=comments)

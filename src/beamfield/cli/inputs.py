@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
 # What calibrate writes above a map that only a program that reads it half a cell off sees rightly.
-OF_MOVED_MAP = "for amcl alone: its origin is moved by"
+OF_MOVED_MAP = "for amcl alone:"
 _LONGEST_LINE = 1000
 
 
@@ -70,9 +70,10 @@ def refuse_moved_map(path: Path | None) -> None:
     """Refuse a map for amcl alone where the true one is wanted: all poses would be half a cell off."""
     if path is not None and is_moved_map(path):
         raise FormatError(
-            path, "this is the map that beamfield calibrate wrote for amcl alone, half a cell off for everything else: "
-            "give the map that it was made from",
-        )  # fmt: skip
+            path,
+            "this is the map that beamfield calibrate wrote for amcl alone, and wrong for everything else: give the "
+            "map that it was made from",
+        )
 
 
 def read_range_table(arguments: argparse.Namespace, grid: OccupancyGrid, finder: RangeFinder) -> RangeTable | None:

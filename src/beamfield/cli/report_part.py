@@ -37,7 +37,7 @@ class ReportPart:
     table: str
     document: Mapping[str, Any]
     section: PageSection
-    files: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     problem: str = ""
 

@@ -10,7 +10,7 @@ from beamfield.geometry import compose
 from beamfield.kernels.trajectory import Walls
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.solids import DEEPEST_HIT, DEEPEST_IN_FILL
+from beamfield.maps.solids import DEEPEST_HIT, DEEPEST_IN_FILL, is_filled
 
 # So far beyond the map's edge end points count, metres: maps are cropped to their outer walls.
 MARGIN = 0.5
@@ -25,8 +25,8 @@ def walls_of(grid: OccupancyGrid) -> Walls:
     """
     margin = math.ceil(MARGIN / grid.resolution)
     distance = distance_to_obstacles(grid, only_boundaries=True, margin_cells=margin)
-    signed = np.where(np.pad(grid.occupied, margin), -distance, distance)
+    occupied = np.pad(grid.occupied, margin)
+    signed = np.where(occupied, -distance, distance)
     x, y, yaw = compose(grid.origin, np.array([-margin * grid.resolution, -margin * grid.resolution, 0.0])).tolist()
-    is_filled = np.count_nonzero(signed < -DEEPEST_HIT) > 0.5 * np.count_nonzero(grid.occupied)
-    deepest = DEEPEST_IN_FILL if is_filled else DEEPEST_HIT
+    deepest = DEEPEST_IN_FILL if is_filled(occupied, distance) else DEEPEST_HIT
     return Walls(np.ascontiguousarray(signed), x, y, yaw, grid.resolution, deepest)

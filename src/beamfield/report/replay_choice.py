@@ -21,6 +21,7 @@ _PARTS = {
     "sensor": "sensor as before",
     "motion": "noise as before",
     "origin": "origin as before",
+    "solids": "solids as before",
     "recovery": "recovery as before",
 }
 
@@ -68,10 +69,11 @@ def replay_verdict(choice: ReplayChoice) -> str:
 
 def describe(setting: ReplaySetting) -> str:
     """Return where the values of a setting come from."""
-    if setting.sensor == setting.motion == setting.recovery == BEFORE and not setting.shift:
+    if setting.sensor == setting.motion == setting.recovery == BEFORE and not setting.changes_map:
         return "the values before"
     parts = [f"sensor {setting.sensor}", f"motion noise {setting.motion}"]
     parts += [f"map's origin {setting.shift:+g} m"] if setting.shift else []
+    parts += ["map's solids hollow"] if setting.solids != BEFORE else []
     return ", ".join([*parts, *([f"recovery {setting.recovery}"] if setting.recovery != BEFORE else [])])
 
 
@@ -99,6 +101,7 @@ def _what(choice: ReplayChoice) -> str:
         "sensor",
         "motion noise",
         *(["map origin"] if choice.moves_origin else []),
+        *(["solids of the map"] if choice.hollows_solids else []),
         *(["recovery"] if any(before.recovery_rates) else []),
     )
     return (
@@ -157,6 +160,7 @@ def _setting_as_dict(setting: ReplaySetting) -> dict[str, Any]:
         "sensor": setting.sensor,
         "motion": setting.motion,
         "origin_shift": setting.shift,
+        "solids": setting.solids,
         "recovery": setting.recovery,
         "parameters": {**asdict(setting.filter.sensor), **asdict(setting.filter.motion)},
     }

@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from beamfield.finding import Finding
+from beamfield.localization.replay_comparison import ReplayComparison
 from beamfield.report.stack_result import StackResult
 from beamfield.stacks.fit.fit import StackFit
+from beamfield.stacks.fit.replay_runs import HOLLOW
 from beamfield.stacks.registry import model_named
 
 # A z_hit below this share of z_rand looks like a mistake to people.
@@ -85,22 +87,35 @@ def _about_model(result: StackResult) -> Iterator[Finding]:
 
 
 def _about_map(result: StackResult) -> Iterator[Finding]:
-    if result.replay is not None and (shift := result.replay.chosen.shift):
-        origin, stack = result.replay.parts.get("origin"), result.chosen.model.stack
-        seen = (
-            "The file says that its values were chosen for it: all were replayed with it (--keep-map: with yours)."
-            if origin is None
-            else f"In the replay the position error was {origin.before:.3f} m with your map as it is, "
-            f"{origin.after:.3f} m with this one."
-        )
-        yield Finding(
-            "stack-map",
-            "info",
-            f"The values go with amcl_map.yaml, your map with its origin moved by {shift:g} m.",
-            {"shift_m": shift},
-            why=f"{stack} reads maps half a cell off. {seen}",
-            do="Let a second map_server publish it on a topic that amcl alone takes; all else needs your map as it is.",
-        )
+    if result.replay is None or not result.replay.chosen.changes_map:
+        return
+    setting, parts, stack = result.replay.chosen, result.replay.parts, result.chosen.model.stack
+    what, why = [], []
+    if setting.solids == HOLLOW:
+        what.append("unknown where it is painted black far from what is free")
+        why.append(f"{stack}'s field is as high inside of solids as on a wall: poses fit whose readings end there."
+                   + _error_without(parts.get("solids"), "black inside"))  # fmt: skip
+    if setting.shift:
+        what.append(f"with its origin moved by {setting.shift:g} m")
+        why.append(f"{stack} reads maps half a cell off." + _error_without(parts.get("origin"), "at its own origin"))
+    if not parts.keys() & {"solids", "origin"}:
+        why.append("The file says that its values were chosen for it: all were replayed with it (--keep-map: yours).")
+    yield Finding(
+        "stack-map",
+        "info",
+        f"The values go with amcl_map.yaml, your map {', and '.join(what)}.",
+        {"shift_m": setting.shift, "hollow": float(setting.solids == HOLLOW)},
+        why=" ".join(why),
+        do="Let a second map_server publish it on a topic that amcl alone takes; all else needs your map as it is.",
+    )
+
+
+def _error_without(part: ReplayComparison | None, how: str) -> str:
+    if part is None:
+        return ""
+    return (
+        f" In the replay the position error was {part.before:.3f} m with the map {how}, {part.after:.3f} m with this."
+    )
 
 
 def _about_recovery(result: StackResult) -> Iterator[Finding]:

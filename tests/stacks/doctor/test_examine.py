@@ -68,6 +68,11 @@ def turned_room():
     return replace(room(), origin=np.array([0.0, 0.0, 0.1]))
 
 
+def painted_black():
+    """Return the room amid six metres of black."""
+    return replace(room(), probability=np.pad(room().probability, 120, constant_values=1.0))
+
+
 MIDDLE = np.tile([4.0, 3.0, 0.0], (10, 1))
 
 
@@ -360,6 +365,9 @@ FINDINGS = {
     "no-obstacles": ({}, {"grid": OccupancyGrid.from_ros(np.zeros((9, 9)), resolution=0.1)}, {}, {"grid": room()}),
     "map-yaw-ignored": ({}, {"grid": turned_room()}, {"stack": "beluga"}, {"grid": turned_room()}),
     "half-cell-shift": ({}, {"grid": room()}, {"stack": "beluga"}, {"grid": room()}),
+    "map-painted-black": ({}, {"grid": painted_black}, {}, {"grid": room()}),
+    "map-painted-black in fields only": ({"stack": "ros1", "laser_z_hit": 0.9}, {"grid": painted_black},
+                                         {"laser_model_type": "beam"}, {"grid": painted_black}),
     "unknown-stops-rays": ({"laser_model_type": "beam"}, {"grid": room(unknown=True)},
                            {"laser_model_type": "beam"}, {"grid": room()}),
     "unknown-attracts": ({"stack": "beluga", "model_unknown_space": "true"}, {"grid": room(unknown=True)},

@@ -47,7 +47,16 @@ def write_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | 
         As the file system says; existing files stay as they were.
     """
     yaml_path = Path(path)
+    image_path = yaml_path.with_suffix(".pgm")
     require(yaml_path.suffix in (".yaml", ".yml"), "path of a map", "a name ending in .yaml or .yml", yaml_path.name)
+    text, image = map_files(grid, image_path.name, mode)
+    with atomic_files([image_path, yaml_path]) as (image_part, yaml_part):
+        image_part.write_bytes(image)
+        yaml_part.write_text(text, encoding="utf-8")
+
+
+def map_files(grid: OccupancyGrid, image_name: str, mode: str | None = None) -> tuple[str, bytes]:
+    """Return the text of a map_server YAML file and its PGM picture, as `write_map` writes them."""
     if mode is None:
         mode = _lossless_mode(grid)
     if mode == "trinary":
@@ -56,12 +65,10 @@ def write_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | 
         grey = _raw_grey(grid)
     else:
         raise InvalidInputError(f"mode: expected 'trinary' or 'raw', got {mode!r}")
-    image_path = yaml_path.with_suffix(".pgm")
     rule = Rule(False, grid.occupied_thresh, grid.free_thresh, mode)
-    with atomic_files([image_path, yaml_path]) as (image_part, yaml_part):
-        rows, cols = grey.shape
-        image_part.write_bytes(f"P5\n{cols} {rows}\n255\n".encode("ascii") + grey[::-1].tobytes())
-        yaml_part.write_text(_yaml_text(image_path.name, rule, grid.resolution, grid.origin), encoding="utf-8")
+    rows, cols = grey.shape
+    image = f"P5\n{cols} {rows}\n255\n".encode("ascii") + grey[::-1].tobytes()
+    return _yaml_text(image_name, rule, grid.resolution, grid.origin), image
 
 
 def moved_map_text(path: str | os.PathLike[str], step: tuple[float, float], image: str) -> str:

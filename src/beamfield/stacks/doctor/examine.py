@@ -33,6 +33,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     map_checks.no_obstacles,
     map_checks.disagreement,
     map_checks.ignored_yaw,
+    map_checks.painted_black,
     beam_checks.beam_count,
     beam_checks.nan_readings,
     sharpness.sharpness,

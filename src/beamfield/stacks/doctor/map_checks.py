@@ -10,6 +10,7 @@ import numpy as np
 from beamfield.calibration.reference_checks import map_findings
 from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.solids import WALL_OF_FILL, has_fill, hollowed
 from beamfield.stacks.doctor.subject import Subject
 from beamfield.stacks.emulation.stack_map import read_as_stack
 
@@ -60,6 +61,23 @@ def half_cell(subject: Subject) -> Iterator[Finding]:
         "nothing if this is the amcl_map.yaml of beamfield calibrate --stack; else use a finer map, or give amcl alone "
         f"a copy of the map's file with {shift:g} m added to x and y of its origin",
         values=numbers,
+    )  # fmt: skip
+
+
+def painted_black(subject: Subject) -> Iterator[Finding]:
+    """Find a map that is painted black where nothing is known, in which a field tells little."""
+    if subject.grid is None or not subject.model.weight.of_field or not has_fill(subject.grid):
+        return
+    solid = subject.grid.occupied & ~hollowed(subject.grid).occupied
+    share = float(solid.mean())
+    yield subject.finding(
+        "map-painted-black", "warning",
+        f"{share:.0%} of the map's cells are black, but no wall: they lie more than {WALL_OF_FILL:g} m behind walls",
+        "the field is as high there as on a wall: readings that end in the black cost nothing, so that poses fit which "
+        "are pushed into it, and the robot gets lost",
+        "give amcl a map that is grey (205, unknown) there: beamfield calibrate --stack writes one, and chooses values "
+        "for it",
+        values={"share": share},
     )  # fmt: skip
 
 

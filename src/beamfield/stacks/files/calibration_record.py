@@ -10,8 +10,9 @@ from typing import Any
 from beamfield.stacks.syntax.line_ends import line_break
 from beamfield.stacks.syntax.parameter_text import Syntax
 
-# A copy of the map for amcl alone, with the origin that makes it see walls where they are.
-MOVED_MAP = "amcl_map.yaml"
+# A copy of the map for amcl alone, with the origin that makes it see walls where they are; and a picture of its own, if
+# what is black and no wall is unknown there.
+MOVED_MAP, MOVED_PICTURE = "amcl_map.yaml", "amcl_map.pgm"
 _MARK = "calibrated by beamfield"
 _OF_MAP = re.compile(rf"{_MARK}|chosen for the map|for the map {re.escape(MOVED_MAP)}")
 _RECORD = re.compile(rf"{_MARK} [^\n]*?checksum ([0-9a-f]{{16}})")

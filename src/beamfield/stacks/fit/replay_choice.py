@@ -19,7 +19,7 @@ from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.kept_runs import KeptRuns
 from beamfield.stacks.fit.motion_candidates import BEFORE, MotionCandidates
-from beamfield.stacks.fit.replay_runs import Key, Progress, Replays, ReplaySetting
+from beamfield.stacks.fit.replay_runs import HOLLOW, Key, Progress, Replays, ReplaySetting
 from beamfield.stacks.fit.replay_segments import USUAL_DISTANCES
 from beamfield.stacks.registry import STACKS, model_named
 
@@ -119,8 +119,8 @@ class ReplayChoice:
         By the names of a `Key`, as far as the finalist differs in it: the error without and with it.
     n_settings
         How many settings were tried.
-    moves_origin
-        Whether the map's origin was among what was chosen.
+    moves_origin, hollows_solids
+        Whether the map's origin, and the inside of its solids, were among what was chosen.
     """
 
     before: ReplaySetting
@@ -134,6 +134,7 @@ class ReplayChoice:
     parts: Mapping[str, ReplayComparison]
     n_settings: int
     moves_origin: bool = False
+    hollows_solids: bool = False
 
     @property
     def chosen(self) -> ReplaySetting:
@@ -157,14 +158,16 @@ def choose_by_replay(
     progress: Progress | None = None,
     kept: KeptRuns | None = None,
     *,
+    hollow: bool = False,
     is_moved: bool = False,
 ) -> ReplayChoice:
-    """Choose sensor parameters, motion noise, the map's origin and recovery by replaying the stack's filter.
+    """Choose sensor parameters, motion noise, the filter's map and recovery by replaying the stack's filter.
 
     All combinations of sensor and motion race with few seeds, and then the best with more; all motion noises are
-    compared with the best sensor's values. They race with the map's origin set right, where that is possible, and
-    without poses drawn at random: that the program reads its map half a cell off is known, and so is that weights of
-    products do not tell a lost robot; only a surely greater error speaks against it. Of what is left the stretches of
+    compared with the best sensor's values. They race with the map's origin set right and its solids hollow, where
+    that is possible, and without poses drawn at random: that the program reads its map half a cell off is known, and so
+    is that its field is highest inside solids, and that weights of products do not tell a lost robot; only a surely
+    greater error speaks against it. Of what is left the stretches of
     the log choose together, and keep the user's motion noise or sensor, and random poses in sums, if other values are
     not surely better. They judge crosswise: on each one the setting that the others choose runs against the user's. A
     few stretches disagree too much for half of them to choose and half to judge. If the choice is not better for sure,
@@ -190,25 +193,31 @@ def choose_by_replay(
         Called with what is done, runs done and runs in all.
     kept
         Runs of an interrupted call with the same inputs; this one's are added.
+    hollow
+        Whether the map is painted black where nothing is known, and the filter's may be unknown there.
     is_moved
-        Whether the user's filter reads a map that is shifted already: then there is no choice.
+        Whether the user's filter reads a map that is set right already: then there is no choice.
     """
     options, kept = options or ReplayOptions(), kept or KeptRuns()
     recoveries = {BEFORE: before} | ({OFF: before.without_recovery()} if any(before.recovery_rates) else {})
+    solid = HOLLOW if hollow else BEFORE
+    origins, insides = (dict.fromkeys((right,) if is_moved else (plain, right))
+                        for plain, right in ((0.0, shift), (BEFORE, solid)))  # fmt: skip
     settings = {
-        Key(sensor, motion, shift, recovery): ReplaySetting(
-            sensor, motion, shift, recovery,
+        Key(sensor, motion, origin, recovery, solids): ReplaySetting(
+            sensor, motion, origin, recovery,
             replace(
                 of_recovery, model=sensors[sensor][0], sensor=sensors[sensor][1],
                 motion=replace(before.motion, **motions.by_name[motion]),
             ),
+            solids,
         )
-        for sensor, motion, shift, (recovery, of_recovery)
-        in product(sensors, motions.by_name, {shift} if is_moved else {0.0, shift}, recoveries.items())
+        for sensor, motion, origin, solids, (recovery, of_recovery)
+        in product(sensors, motions.by_name, origins, insides, recoveries.items())
     }  # fmt: skip
-    its = Key(BEFORE, BEFORE, shift if is_moved else 0.0, BEFORE)
-    own, calm = settings[its], [*recoveries][-1]
-    raced = [one for one in settings.values() if (one.shift, one.recovery) == (shift, calm) or one is own]
+    its = Key(BEFORE, BEFORE, shift, BEFORE, solid) if is_moved else Key(BEFORE, BEFORE, 0.0, BEFORE)
+    own, right = settings[its], (shift, [*recoveries][-1], solid)
+    raced = [one for one in settings.values() if one.key[2:] == right or one is own]
     replays = Replays(stretches, grid, options.seeds(len(stretches)), options.seed, kept)
     safe = None if motions.safe is None else replace(before.motion, **motions.safe)
     last = _race(raced, replays, progress)
@@ -224,15 +233,16 @@ def choose_by_replay(
 
     everywhere = range(len(stretches))
     best = finalist = choose(everywhere)
+    tried = {one.key for one in raced}
     for part in _known(best):
         plain = settings[finalist.key._replace(**{part: getattr(its, part)})]
+        tried.add(plain.key)
         finalist = _unless_surely_worse(finalist, plain, replays)
     crossed = [own] * len(stretches)
     if finalist is not own:
         known = {part: getattr(finalist.key, part) for part in _known(best)}
         choices = [choose([other for other in everywhere if other != i]) for i in everywhere]
         crossed = [one if one is own else settings[one.key._replace(**known)] for one in choices]
-    n_settings = len(raced) + (best.shift != its.origin)
 
     def judge(finalist: ReplaySetting, crossed: Sequence[ReplaySetting]) -> ReplayChoice:
         without = _without_each_part(settings, its, finalist, crossed)
@@ -254,8 +264,9 @@ def choose_by_replay(
             error=_compared(before_, after, clipped),
             cost=_compared(before_, after, costs),
             parts={name: _compared(rivals, after, clipped) for name, rivals in without_parts.items()},
-            n_settings=n_settings,
+            n_settings=len(tried),
             moves_origin=bool(shift) and not is_moved,
+            hollows_solids=hollow and not is_moved,
         )
 
     choice = judge(finalist, crossed)
@@ -272,7 +283,9 @@ def choose_by_replay(
     # What is not better for sure, as a sensor that loses a few robots, must not hide what is; nor must one that only
     # some of the stretches choose.
     fewer = {name: one for name, one in sensors.items() if name not in others}
-    again = choose_by_replay(before, fewer, motions, shift, stretches, grid, options, progress, kept, is_moved=is_moved)
+    again = choose_by_replay(
+        before, fewer, motions, shift, stretches, grid, options, progress, kept, hollow=hollow, is_moved=is_moved
+    )
     return replace(again, n_settings=choice.n_settings) if again.is_better else choice
 
 
@@ -354,7 +367,7 @@ def _known(setting: ReplaySetting) -> list[str]:
     """Return which parts need no proof, because it is known what the program does wrong there."""
     its = setting.filter
     is_misled = STACKS[its.stack].averages_scans and model_named(its.stack, its.model).multiplies(its.sensor)
-    return ["origin", "recovery"] if is_misled else ["origin"]
+    return ["origin", "solids", *(["recovery"] if is_misled else [])]
 
 
 def _unless_surely_worse(corrected: ReplaySetting, plain: ReplaySetting, replays: Replays) -> ReplaySetting:

@@ -14,12 +14,15 @@ from beamfield.localization.parallel_runs import run_each
 from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.solids import hollowed
 from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.kept_runs import KeptRuns
 
 Progress = Callable[[str, int, int], None]
+
+HOLLOW = "hollow"
 
 # A run starts as a filter that tracks, with the windows' prior, metres and radians. From nav2's 0.5 m and 15 degrees a
 # lead-in along a corridor is too short to gather particles, and errors tell of that more than of tracking.
@@ -37,6 +40,8 @@ class Key(NamedTuple):
     """Shift of the map's origin, metres."""
     recovery: str
     """Whether poses are drawn at random when the weights drop: "before" as the user has it, or "off"."""
+    solids: str = "before"
+    """What is inside the map's solids: "before" as the user has it, or "hollow"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +58,8 @@ class ReplaySetting:
         "before" as the user has it, or "off".
     filter
         All parameters.
+    solids
+        "before", or "hollow" if they are unknown inside.
     """
 
     sensor: str
@@ -60,11 +67,21 @@ class ReplaySetting:
     shift: float
     recovery: str
     filter: FilterSettings
+    solids: str = "before"
 
     @property
     def key(self) -> Key:
         """What tells it from others."""
-        return Key(self.sensor, self.motion, self.shift, self.recovery)
+        return Key(self.sensor, self.motion, self.shift, self.recovery, self.solids)
+
+    @property
+    def changes_map(self) -> bool:
+        """Whether the filter's map is another than the user's."""
+        return bool(self.shift) or self.solids == HOLLOW
+
+    def map_of(self, grid: OccupancyGrid) -> OccupancyGrid:
+        """Return the filter's map, given the user's."""
+        return shifted_map(hollowed(grid) if self.solids == HOLLOW else grid, self.shift)
 
 
 class Replays:
@@ -128,13 +145,13 @@ class _RunsOnStretches:
 
     def __init__(self, grid: OccupancyGrid, stretches: Sequence[SensorLog]) -> None:
         self._grid, self._stretches = grid, stretches
-        self._emulators: dict[tuple[str, float], StackModel[Any, Any]] = {}
+        self._emulators: dict[tuple[str, float, str], StackModel[Any, Any]] = {}
 
     def __call__(self, asked: _Asked) -> ReplayTrials:
         setting, i, seeds = asked
-        of = setting.sensor, setting.shift
+        of = setting.sensor, setting.shift, setting.solids
         if of not in self._emulators:
-            self._emulators[of] = setting.filter.emulator(shifted_map(self._grid, setting.shift))
+            self._emulators[of] = setting.filter.emulator(setting.map_of(self._grid))
         replayed = setting.filter.filter_with(self._emulators[of])
         return run_trials(replayed, self._stretches[i], seeds, name=f"stretch {i + 1}", spread=SPREAD)
 

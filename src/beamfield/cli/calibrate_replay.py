@@ -55,7 +55,7 @@ def replay_fit(
     for other in others:
         sensors[f"{other.model.model} fitted"] = other.model.model, other.parameters
     shift = _shift(job, before, grid)
-    hollow = takes_hollow_map(job, before.stack, before.model, grid)
+    hollow = any(takes_hollow_map(job, before.stack, *sensor, grid) for sensor in sensors.values())
     inputs = before, sensors, motions, shift, stretches, grid, options
     its_own = job.patched is not None and goes_with_moved_map(job.patched.section.text)
     is_moved = (bool(shift) or hollow) and its_own
@@ -104,12 +104,12 @@ def filter_map_files(job: CalibrationJob, choice: ReplayChoice, grid: OccupancyG
     return files | {MOVED_MAP: "".join(f"# {line}\n" for line in comments) + text}
 
 
-def takes_hollow_map(job: CalibrationJob, stack: str, model: str, grid: OccupancyGrid) -> bool:
+def takes_hollow_map(job: CalibrationJob, stack: str, model: str, parameters: Any, grid: OccupancyGrid) -> bool:
     """Return whether a field's map is painted black where nothing is known, and a file may say otherwise."""
     from beamfield.maps.solids import has_fill
     from beamfield.stacks.registry import model_named
 
-    return _can_write(job) and model_named(stack, model).weight.of_field and has_fill(grid)
+    return _can_write(job) and model_named(stack, model).solids_attract(parameters) and has_fill(grid)
 
 
 def _can_write(job: CalibrationJob) -> bool:

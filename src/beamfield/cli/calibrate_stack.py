@@ -214,15 +214,17 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
         is_flat = not stack.model(file.model).weight.is_product
         models = (file.model, *(name for name in models if is_flat and stack.model(name).weight == FIELD_PRODUCT))
     plain = next((form.result.parameters for form in result.candidates if form.is_chapter), None)
-    return [
-        fit_stack(
-            stack.name, model, sensor, hollowed(grid) if takes_hollow_map(job, stack.name, model, grid) else grid,
-            start=stack.start(model) if file is None else checked_values(replace(file, model=model)),
+
+    def fit(model: str) -> StackFit:
+        start = stack.start(model) if file is None else checked_values(replace(file, model=model))
+        seen = hollowed(grid) if takes_hollow_map(job, stack.name, model, start, grid) else grid
+        return fit_stack(
+            stack.name, model, sensor, seen, start=start,
             beam_parameters=plain, options=_window_options(job), selection=result.options.selection,
             block_s=arguments.block, progress=job.progress,
-        )
-        for model in models
-    ]  # fmt: skip
+        )  # fmt: skip
+
+    return [fit(model) for model in models]
 
 
 def _best(fits: Sequence[StackFit]) -> StackFit:

@@ -102,6 +102,8 @@ class Model:
         What unknown cells are to it: they "stop" rays, let them "pass", give them the "longest" range, or are "free".
     unknown_attracts
         A switch with which end points in unknown cells are worth more than in free ones; "" for none.
+    only_surfaces
+        A switch with which only the surfaces of solids are obstacles; "" for none.
     z_max_needs
         Why z_max may have no effect, and what to do then.
     from_chapter
@@ -127,6 +129,7 @@ class Model:
     notes: tuple[str, ...] = ()
     unknown_cells: Literal["stop", "pass", "longest", "free"] = "free"
     unknown_attracts: str = ""
+    only_surfaces: str = ""
     z_max_needs: tuple[str, str] | None = None
     from_chapter: Callable[[BeamParameters, float, float], dict[str, float]] | None = None
     chapter_notes: Callable[[Model, BeamParameters, float, float], list[str]] | None = None
@@ -172,6 +175,10 @@ class Model:
     def multiplies(self, parameters: Any) -> bool:
         """Whether the weight is a product over beams, with these parameters."""
         return self.weight.is_product and not (self.averages and getattr(parameters, self.averages))
+
+    def solids_attract(self, parameters: Any) -> bool:
+        """Whether end points inside solids are worth as much as on a wall, with these parameters."""
+        return self.weight.of_field and not (self.only_surfaces and getattr(parameters, self.only_surfaces))
 
     def beam_values(self, learned: BeamParameters, typical_range: float, cell: float) -> dict[str, float]:
         """Return the chapter's beam model in the program's parameters; see `from_chapter`."""

@@ -368,6 +368,9 @@ FINDINGS = {
     "map-painted-black": ({}, {"grid": painted_black}, {}, {"grid": room()}),
     "map-painted-black in fields only": ({"stack": "ros1", "laser_z_hit": 0.9}, {"grid": painted_black},
                                          {"laser_model_type": "beam"}, {"grid": painted_black}),
+    "map-painted-black unless only surfaces count": (
+        {"stack": "beluga", "only_obstacle_boundaries": "false"}, {"grid": painted_black},
+        {"stack": "beluga"}, {"grid": painted_black}),
     "unknown-stops-rays": ({"laser_model_type": "beam"}, {"grid": room(unknown=True)},
                            {"laser_model_type": "beam"}, {"grid": room()}),
     "unknown-attracts": ({"stack": "beluga", "model_unknown_space": "true"}, {"grid": room(unknown=True)},

@@ -83,6 +83,7 @@ BELUGA = Stack(
     models=models(
         _described(
             BelugaField, weight=FIELD_CUBES, adds_one=True, unknown_attracts="model_unknown_space",
+            only_surfaces="only_obstacle_boundaries",
             formula=f"1 + Σ p³ over beams; {_FIELD}",
             off_values={"model_unknown_space": False, "only_obstacle_boundaries": False},
             left_out={

@@ -66,7 +66,7 @@ def half_cell(subject: Subject) -> Iterator[Finding]:
 
 def painted_black(subject: Subject) -> Iterator[Finding]:
     """Find a map that is painted black where nothing is known, in which a field tells little."""
-    if subject.grid is None or not subject.model.weight.of_field or not has_fill(subject.grid):
+    if subject.grid is None or not subject.model.solids_attract(subject.parameters) or not has_fill(subject.grid):
         return
     solid = subject.grid.occupied & ~hollowed(subject.grid).occupied
     share = float(solid.mean())

@@ -139,6 +139,9 @@ def test_for_a_map_painted_black_where_nothing_is_known_amcl_gets_one_that_is_no
     mine.write_text(MINE)
     main(["doctor", str(mine), "--map", str(tmp_path / "map.yaml")])
     assert "warning: map-painted-black" in capsys.readouterr().out
+    localized = ["localize", str(tmp_path / "log.carmen"), "--map", str(tmp_path / "map.yaml"), "--params", str(mine)]
+    main([*localized, "--out", str(tmp_path / "localized")])
+    assert "% of the map's cells are black, but no wall" in capsys.readouterr().err
     asked = ("--stack", "nav2", "--model", "likelihood_field", "--patch", str(mine))
     assert calibrate(tmp_path, out, *asked, quiet=False) == 0
     printed = capsys.readouterr().out

@@ -150,9 +150,9 @@ def _errors(
     files: Mapping[str, StackFile], maps: Mapping[str, tuple[Path, OccupancyGrid]], log: SensorLog
 ) -> list[str]:
     """Return what makes a parameter file useless, such as weights that are all zero or a map that it misreads."""
-    from beamfield.stacks.doctor.examine import error_notes
+    from beamfield.stacks.doctor.examine import hopeless_notes
 
-    return [f"{name}: {note}" for name, file in files.items() for note in error_notes(file, maps[name][1], log)]
+    return [f"{name}: {note}" for name, file in files.items() for note in hopeless_notes(file, maps[name][1], log)]
 
 
 def _maps(

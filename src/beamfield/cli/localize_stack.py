@@ -42,7 +42,7 @@ def stack_filter(
 
     from beamfield.calibration.reference_checks import jump_findings
     from beamfield.localization.scan_localizer import Localization
-    from beamfield.stacks.doctor.examine import error_notes
+    from beamfield.stacks.doctor.examine import hopeless_notes
     from beamfield.stacks.files.calibration_record import MOVED_MAP, goes_with_moved_map
     from beamfield.stacks.files.filter_file import read_filter_settings
     from beamfield.stacks.files.parameter_file import read_stack_file
@@ -61,7 +61,7 @@ def stack_filter(
             f"{arguments.params}: its values were chosen for the map {MOVED_MAP}, and run on {arguments.map} here; "
             "beamfield evaluate takes both maps (--filter-maps)"
         )
-    notes += [*file.unread, *(f"{arguments.params}: {note}" for note in error_notes(file, grid, log))]
+    notes += [*file.unread, *(f"{arguments.params}: {note}" for note in hopeless_notes(file, grid, log))]
 
     def run(film: Film, step: Callable[[int], None]) -> Localization:
         def watch(i: int, poses: FloatArray, weights: FloatArray) -> None:

@@ -91,7 +91,8 @@ def examine(
     return worst_first(found)
 
 
-def error_notes(file: StackFile, grid: OccupancyGrid, log: SensorLog) -> list[str]:
-    """Return what makes a parameter file useless on a map, such as weights that are all zero, in words."""
+def hopeless_notes(file: StackFile, grid: OccupancyGrid, log: SensorLog) -> list[str]:
+    """Return in words why a filter loses robots on a map, such as weights that are all zero."""
     found = examine(file, grid=grid, log=log)
-    return [f"{finding.text}: {finding.why}" for finding in found if finding.severity == "error"]
+    told = [finding for finding in found if finding.severity == "error" or finding.name == "map-painted-black"]
+    return [f"{finding.text}: {finding.why}" for finding in told]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +92,18 @@ def test_the_maximum_is_printed_and_lies_at_the_reference(folder, tmp_path, caps
     assert re.search(
         r"likelier still, by \d+\.\d\d nats|\d+\.\d\d nats below the maximum; [\d,]+ of [\d,]+ places", text
     )
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_field_finds_the_robot_where_the_unknown_is_painted_black(folder, tmp_path, capsys):
+    room = make_grid()
+    cells = np.pad(room.probability, 30, constant_values=1.0)
+    corner = room.origin - np.array([*[30 * room.resolution] * 2, 0.0])
+    write_map(replace(room, probability=cells, origin=corner), tmp_path / "black.yaml")
+    shutil.copy(folder / "drive.log", tmp_path)
+    assert run(tmp_path, "--model", "likelihood_field", map_name="black.yaml") == 0
+    away = re.search(r"the maximum is ([0-9.]+) m and ([0-9.]+) deg away", capsys.readouterr().out)
+    assert float(away[1]) <= 0.3
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -134,6 +134,7 @@ def _measurement_and_model(
 ) -> tuple[Any, MeasurementModel[Any], list[str]]:
     """Return what is measured (a scan or a local map), the model that scores it, and notes on its parameters."""
     from beamfield.localization.lattice_noise import widened_field_for_lattice, widened_for_lattice
+    from beamfield.maps.solids import hollowed
     from beamfield.models.beam import BeamModel
     from beamfield.models.likelihood_field import LikelihoodFieldModel
     from beamfield.models.map_matching import MapMatchingModel
@@ -155,7 +156,7 @@ def _measurement_and_model(
     more = _counting(of_field, arguments, scan)
     if not arguments.no_widening:
         of_field = widened_field_for_lattice(of_field, scan, **lattice)
-    return scan, LikelihoodFieldModel(grid, of_field, **more), notes
+    return scan, LikelihoodFieldModel(hollowed(grid), of_field, **more), notes
 
 
 def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:

@@ -18,6 +18,7 @@ from beamfield.explorer.shown_run import ERROR, ShownRun
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
+from beamfield.maps.solids import hollowed
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.scan_fit.reference import calibrate_scan_fit
@@ -52,7 +53,7 @@ def open_session(
         try:
             learned = calibrate(log, grid, CalibrationOptions(refine=False), progress=report)
             report("learning the likelihood field", 0, 1)
-            field = learn_field_parameters(log, grid)
+            field = learn_field_parameters(log, hollowed(grid))
             report("learning how much beams count", 0, 1)
             fitted = fitted_sets(learned.parameters, _exponent(log, grid, learned.parameters), field, grid, log.finder)
             numbers = _timeline(log, grid, fitted[0], run, report)

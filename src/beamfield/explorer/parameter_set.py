@@ -20,6 +20,7 @@ from beamfield.io.parameters.likelihood_field_file import (
     read_likelihood_field,
 )
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.solids import hollowed
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import WEIGHT_SUM_TOLERANCE, WEIGHTS, BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
@@ -257,6 +258,7 @@ def _chapter_set(
 ) -> ParameterSet:  # fmt: skip
     """Return a set of the beam model or the likelihood field; its slider `exponent` is that of one scan."""
     model: type[Any] = BeamModel if kind == "beam" else LikelihoodFieldModel
+    seen = grid if kind == "beam" else hollowed(grid)
     name, text_of = _FILES[kind]
 
     def split(changed: Mapping[str, float]) -> tuple[Any, float]:
@@ -266,7 +268,7 @@ def _chapter_set(
 
     def make(changed: Mapping[str, float], share: float = 1.0) -> Any:
         own, exponent = split(changed)
-        return model(grid, own, exponent=share * exponent, n_beams=counting.n_beams)
+        return model(seen, own, exponent=share * exponent, n_beams=counting.n_beams)
 
     # A filter's exponent is smaller, as scan after scan err alike: it keeps its ratio to one scan's.
     in_filter = counting.in_filter / counting.single

@@ -64,6 +64,17 @@ def test_size_time_and_error_are_said_and_a_table_that_is_there_is_kept(folder, 
     assert read_range_table(out, table.grid).plan.headings == 80
 
 
+def test_a_map_in_which_nothing_is_free_or_occupied_is_named(tmp_path, capsys):
+    for value, what in ((0.0, "no occupied cell"), (1.0, "no free cell")):
+        path = tmp_path / "map.yaml"
+        write_map(OccupancyGrid(np.full((30, 30), value), 0.1), path)
+        assert main(["precompute", str(path), "--out", str(tmp_path / "a.ranges")]) == 1
+        assert f"{path}: the map has {what}" in last_line(capsys)
+    write_map(OccupancyGrid(np.zeros((30, 30)), 0.1), path)
+    assert main(["simulate", "--map", str(path), "--out", str(tmp_path / "out")]) == 1
+    assert f"{path}: the map has no occupied cell" in last_line(capsys)
+
+
 def test_a_robot_is_localized_with_a_table_and_refused_with_one_that_does_not_fit(folder, tmp_path, capsys):
     localize = ["localize", str(folder / "drive.log"), "--poses", str(folder / "truth.tum"), "--particles", "300"]
     localize += ["--out", str(tmp_path / "out"), "--map", str(folder / "map.yaml"), "--json"]

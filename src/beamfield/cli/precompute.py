@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from beamfield.cli import inputs, options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, positive
+from beamfield.errors import FormatError
 
 if TYPE_CHECKING:
     from beamfield.maps.range_table import RangeTable
@@ -55,6 +56,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with options.progress(arguments) as progress:
         progress("reading the map", 0, 1)
         grid = inputs.read_walls(arguments)
+        if not grid.free.any():
+            raise FormatError(arguments.map, "the map has no free cell, so no pose has ranges to store")
         plan = RangeTablePlan(grid, arguments.max_range, arguments.resolution, arguments.headings)
         plan.check_size(arguments.max_size)
 

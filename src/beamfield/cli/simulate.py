@@ -203,7 +203,7 @@ def _world(arguments: argparse.Namespace) -> OccupancyGrid:
     from beamfield.simulation.floor_plan import draw_floor_plan
 
     if arguments.map is not None:
-        return inputs.read_grid(arguments)
+        return inputs.read_walls(arguments)
     return draw_floor_plan(
         seed=arguments.seed, width=arguments.width, height=arguments.height, resolution=arguments.resolution
     )

@@ -55,7 +55,7 @@ def replay_fit(
     for other in others:
         sensors[f"{other.model.model} fitted"] = other.model.model, other.parameters
     shift = _shift(job, before, grid)
-    hollow = any(takes_hollow_map(job, before.stack, *sensor, grid) for sensor in sensors.values())
+    hollow = any(takes_hollow_map(job, before.stack, *values, grid) for values in sensors.values())
     inputs = before, sensors, motions, shift, stretches, grid, options
     its_own = job.patched is not None and goes_with_moved_map(job.patched.section.text)
     is_moved = (bool(shift) or hollow) and its_own

@@ -22,6 +22,7 @@ from beamfield.cli.calibrate_field import learn_field
 from beamfield.cli.calibrate_sensor import _table
 from beamfield.cli.main import main
 from beamfield.finding import Finding
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
@@ -148,6 +149,17 @@ class TestResult:
         assert page.count("<html") == 1
         for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):
             assert name in page
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_in_the_map_of_another_building_no_file_is_said_to_localize_better(world: Path, tmp_path: Path, office):
+    shutil.copy(world / "log.carmen", tmp_path)
+    write_map(office, tmp_path / "map.yaml")
+    out = tmp_path / "out"
+    assert calibrate(tmp_path, out, "--no-refine", "--poses", str(world / "truth.tum")) == 3
+    document = json.loads((out / "calibration.json").read_text())
+    assert document["verdict"].startswith("Do not use these values yet")
+    assert "own_filter" not in document
 
 
 def test_the_table_is_printed(run: tuple[Path, str]):

@@ -30,19 +30,21 @@ def choose_own_model(
 ) -> ReportPart | None:
     """Run the filter of ``beamfield localize`` with both models.
 
-    None with --stack, for sonars, without odometry, or if one model was not learned with its exponent. What posteriors
-    gain on held-out blocks says it less well, least where reference poses are good to some centimetres only:
-    docs/evidence/localization.md.
+    None with --stack, for sonars, without odometry, if one model was not learned with its exponent, or no value may be
+    used. What posteriors gain on held-out blocks says it less well, least where reference poses are good to some
+    centimetres only: docs/evidence/localization.md.
     """
     from beamfield.localization.model_choice import choose_model
     from beamfield.maps.solids import hollowed
     from beamfield.models.beam import BeamModel
     from beamfield.models.likelihood_field import LikelihoodFieldModel
     from beamfield.report.model_choice_section import choice_as_dict, choice_section, choice_table
+    from beamfield.report.verdict import doubts
 
     if job.arguments.stack is not None or sensor.finder.opening_angle > 0.0:
         return None
-    if counting is None or field is None or field.exponents is None:
+    # In another building's map a filter searches for the robot, in vain and for long.
+    if counting is None or field is None or field.exponents is None or doubts(result):
         return None
     beam = BeamModel(grid, result.parameters, n_beams=counting.n_beams, exponent=counting.drive.value)
     of_field = LikelihoodFieldModel(hollowed(grid), field.parameters, n_beams=field.n_beams, exponent=field.exponent)

@@ -101,6 +101,16 @@ def test_unknown_cells_that_count_as_free_are_noted(capsys, map_path):
     assert "100.0% of the pixels have grey 205" in shown(capsys, map_path)
 
 
+def test_a_map_that_is_painted_black_where_nothing_is_known_is_noted(capsys, map_path):
+    assert "painted black" not in shown(capsys, map_path)
+    grey = np.zeros((50, 60), dtype=np.uint8)
+    grey[10:40, 10:40] = 254
+    map_path.with_suffix(".pgm").write_bytes(b"P5 60 50 255\n" + grey.tobytes())
+    assert "no wall, but painted black: amcl's likelihood fields lose robots there" in " ".join(
+        shown(capsys, map_path).split()
+    )
+
+
 def test_wean_maps_and_coreslam_logs_share_an_ending_and_are_told_apart(tmp_path, capsys):
     wean = "robot_specifications->resolution 10\nglobal_map[0]: 1 2\n1.0 0.0\n"
     (tmp_path / "a.dat").write_text(wean)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from beamfield.cli.provenance import recorded
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.solids import has_fill
 from beamfield.printable import printable
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
 from beamfield.sensors.robot_in_sight import robot_in_sight
@@ -20,6 +21,10 @@ Facts = dict[str, Any]
 
 # Occupied cells to a free one: up to 4.8 in maps that people use (unknown space painted black), 33 in an inverted one.
 INVERTED = 8.0
+PAINTED_BLACK = (
+    "most of what is occupied is no wall, but painted black: amcl's likelihood fields lose robots there; beamfield "
+    "calibrate --stack writes amcl a map"
+)
 
 
 def map_facts(grid: OccupancyGrid, notes: Sequence[str] = ()) -> Facts:
@@ -40,7 +45,7 @@ def map_facts(grid: OccupancyGrid, notes: Sequence[str] = ()) -> Facts:
         "occupied_thresh": grid.occupied_thresh,
         "free_thresh": grid.free_thresh,
         "cells": cells,
-        "notes": [*notes, *map_notes(grid)],
+        "notes": [*notes, *(map_notes(grid) or ([PAINTED_BLACK] if has_fill(grid) else []))],
     }
 
 

@@ -132,8 +132,11 @@ def test_for_a_map_painted_black_where_nothing_is_known_amcl_gets_one_that_is_no
     known = read_map(world / "map.yaml")
     cells = np.pad(np.where(known.free, 0.0, 1.0), 80, constant_values=1.0)
     corner = known.origin - np.array([*[80 * known.resolution] * 2, 0.0])
-    black = OccupancyGrid(cells, known.resolution, corner, known.occupied_thresh, known.free_thresh)
+    black = OccupancyGrid(cells, known.resolution, corner)
     write_map(black, tmp_path / "map.yaml")
+    # As of a map that was only ever black and white: no grey lies between the thresholds.
+    text = (tmp_path / "map.yaml").read_text().replace("_thresh: 0.65", "_thresh: 0.5").replace("0.196", "0.499")
+    (tmp_path / "map.yaml").write_text(text)
     shutil.copy(world / "log.carmen", tmp_path)
     mine, out = tmp_path / "mine.yaml", tmp_path / "out"
     mine.write_text(MINE)
@@ -148,7 +151,7 @@ def test_for_a_map_painted_black_where_nothing_is_known_amcl_gets_one_that_is_no
     assert f"--filter-maps {tmp_path / 'map.yaml'} {out / 'amcl_map.yaml'}" in printed
     assert "amcl_map.yaml, your map unknown where it is painted black far from what is free, and with its" in printed
     chosen = json.loads((out / "calibration.json").read_text())["stack"]["replay"]["chosen"]
-    assert (chosen["origin_shift"], chosen["solids"]) == (0.025, "hollow")
+    assert (chosen["origin_shift"], chosen["black_areas_unknown"]) == (0.025, True)
     corrected, expected = read_map(out / "amcl_map.yaml"), hollowed(black)
     np.testing.assert_array_equal(corrected.probability, expected.probability)
     np.testing.assert_allclose(corrected.origin, black.origin + np.array([0.025, 0.025, 0.0]), atol=1e-9)

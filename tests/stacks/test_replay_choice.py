@@ -133,11 +133,11 @@ def test_a_map_painted_black_where_nothing_is_known_is_set_right(office, drive):
     assert choice.n_settings == 2
     assert choice.parts.keys() == {"solids"}
     assert choice.error.after < 0.7 * choice.error.before
-    assert replay_as_dict(choice)["chosen"]["solids"] == "hollow"
+    assert replay_as_dict(choice)["chosen"]["black_areas_unknown"] is True
     assert replay_verdict(choice).startswith("Use the corrected map with nav2's defaults: replayed")
     printed = replay_tables(choice)
-    assert "2 settings of sensor, motion noise and solids of the map were replayed" in printed
-    assert "chosen: sensor before, motion noise before, map's solids hollow" in printed
+    assert "2 settings of sensor, motion noise and black areas of the map were replayed" in printed
+    assert "chosen: sensor before, motion noise before, map's black areas unknown" in printed
     # For a file whose filter reads such a map already, there is nothing to choose.
     there = choose_by_replay(*asked, FEW, hollow=True, is_moved=True)
     assert there.before.key == there.chosen.key == Key("before", "before", 0.0, "before", "hollow")
@@ -479,9 +479,9 @@ def test_a_file_whose_values_were_chosen_for_the_moved_map_is_replayed_with_it(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(
         "beamfield.stacks.fit.replay_choice.choose_by_replay",
-        lambda *inputs, hollow, is_moved: (inputs[3] == 0.5 * office.resolution, is_moved or hollow),
+        lambda *inputs, hollow, is_moved: (inputs[3] == 0.5 * office.resolution, is_moved, hollow),
     )
-    assert replay_fit(job, drive, office, fit, [], {}) == (asked, "")
+    assert replay_fit(job, drive, office, fit, [], {}) == ((*asked, False), "")
 
 
 def test_safe_noise_is_twice_what_the_log_shows_but_not_twice_the_floor(drive):

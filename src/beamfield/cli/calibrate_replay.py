@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,7 +55,7 @@ def replay_fit(
     for other in others:
         sensors[f"{other.model.model} fitted"] = other.model.model, other.parameters
     shift = _shift(job, before, grid)
-    hollow = any(takes_hollow_map(job, before.stack, *values, grid) for values in sensors.values())
+    hollow = takes_hollow_map(job, before.stack, sensors.values(), grid)
     inputs = before, sensors, motions, shift, stretches, grid, options
     its_own = job.patched is not None and goes_with_moved_map(job.patched.section.text)
     is_moved = (bool(shift) or hollow) and its_own
@@ -68,10 +68,13 @@ def replay_fit(
 
 def filter_map_files(job: CalibrationJob, choice: ReplayChoice, grid: OccupancyGrid) -> dict[str, str | bytes]:
     """Return the files of the filter's own map, by name; none if it is the user's."""
+    import numpy as np
+
     from beamfield.cli.inputs import OF_MOVED_MAP
     from beamfield.cli.provenance import file_name
     from beamfield.io.maps.ros_map import image_path
     from beamfield.io.maps.ros_map_writer import map_files, moved_map_text
+    from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.stacks.fit.replay_runs import HOLLOW
 
     setting, arguments = choice.chosen, job.arguments
@@ -79,7 +82,11 @@ def filter_map_files(job: CalibrationJob, choice: ReplayChoice, grid: OccupancyG
         return {}
     what, why, last, files = [], [], [], {}
     if setting.solids == HOLLOW:
-        text, files[MOVED_PICTURE] = map_files(setting.map_of(grid), MOVED_PICTURE, "trinary")
+        own = setting.map_of(grid)
+        # With the usual thresholds, as those of a map that knows only black and white may have no grey between them.
+        cells = np.select([own.occupied, own.free], [np.float32(1.0), np.float32(0.0)], np.float32(np.nan))
+        whole = OccupancyGrid(cells, own.resolution, own.origin)
+        text, files[MOVED_PICTURE] = map_files(whole, MOVED_PICTURE, "trinary")
         what.append("it is unknown where the map is painted black far from what is free")
         why += ["The filter's field is as high inside of solids as on a wall: poses fit whose readings end there."]
     else:
@@ -104,12 +111,16 @@ def filter_map_files(job: CalibrationJob, choice: ReplayChoice, grid: OccupancyG
     return files | {MOVED_MAP: "".join(f"# {line}\n" for line in comments) + text}
 
 
-def takes_hollow_map(job: CalibrationJob, stack: str, model: str, parameters: Any, grid: OccupancyGrid) -> bool:
-    """Return whether a field's map is painted black where nothing is known, and a file may say otherwise."""
+def takes_hollow_map(job: CalibrationJob, stack: str, sensors: Iterable[tuple[str, Any]], grid: OccupancyGrid) -> bool:
+    """Return whether the map is painted black where nothing is known, and a file may give one of some fields another.
+
+    `sensors` are models and their parameters.
+    """
     from beamfield.maps.solids import has_fill
     from beamfield.stacks.registry import model_named
 
-    return _can_write(job) and model_named(stack, model).solids_attract(parameters) and has_fill(grid)
+    is_misled = any(model_named(stack, model).solids_attract(parameters) for model, parameters in sensors)
+    return is_misled and _can_write(job) and has_fill(grid)
 
 
 def _can_write(job: CalibrationJob) -> bool:

@@ -217,7 +217,7 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
 
     def fit(model: str) -> StackFit:
         start = stack.start(model) if file is None else checked_values(replace(file, model=model))
-        seen = hollowed(grid) if takes_hollow_map(job, stack.name, model, start, grid) else grid
+        seen = hollowed(grid) if takes_hollow_map(job, stack.name, [(model, start)], grid) else grid
         return fit_stack(
             stack.name, model, sensor, seen, start=start,
             beam_parameters=plain, options=_window_options(job), selection=result.options.selection,

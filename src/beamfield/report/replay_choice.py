@@ -21,7 +21,7 @@ _PARTS = {
     "sensor": "sensor as before",
     "motion": "noise as before",
     "origin": "origin as before",
-    "solids": "solids as before",
+    "solids": "black as before",
     "recovery": "recovery as before",
 }
 
@@ -73,7 +73,7 @@ def describe(setting: ReplaySetting) -> str:
         return "the values before"
     parts = [f"sensor {setting.sensor}", f"motion noise {setting.motion}"]
     parts += [f"map's origin {setting.shift:+g} m"] if setting.shift else []
-    parts += ["map's solids hollow"] if setting.solids != BEFORE else []
+    parts += ["map's black areas unknown"] if setting.solids != BEFORE else []
     return ", ".join([*parts, *([f"recovery {setting.recovery}"] if setting.recovery != BEFORE else [])])
 
 
@@ -101,7 +101,7 @@ def _what(choice: ReplayChoice) -> str:
         "sensor",
         "motion noise",
         *(["map origin"] if choice.moves_origin else []),
-        *(["solids of the map"] if choice.hollows_solids else []),
+        *(["black areas of the map"] if choice.hollows_solids else []),
         *(["recovery"] if any(before.recovery_rates) else []),
     )
     return (
@@ -160,7 +160,7 @@ def _setting_as_dict(setting: ReplaySetting) -> dict[str, Any]:
         "sensor": setting.sensor,
         "motion": setting.motion,
         "origin_shift": setting.shift,
-        "solids": setting.solids,
+        "black_areas_unknown": setting.solids != BEFORE,
         "recovery": setting.recovery,
         "parameters": {**asdict(setting.filter.sensor), **asdict(setting.filter.motion)},
     }

@@ -75,8 +75,8 @@ def painted_black(subject: Subject) -> Iterator[Finding]:
         f"{share:.0%} of the map's cells are black, but no wall: they lie more than {WALL_OF_FILL:g} m behind walls",
         "the field is as high there as on a wall: readings that end in the black cost nothing, so that poses fit which "
         "are pushed into it, and the robot gets lost",
-        "give amcl a map that is grey (205, unknown) there: beamfield calibrate --stack writes one, and chooses values "
-        "for it",
+        "give amcl a map that is grey there, which means unknown: beamfield calibrate --stack writes one, and chooses "
+        "values for it",
         values={"share": share},
     )  # fmt: skip
 

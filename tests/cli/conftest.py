@@ -44,6 +44,7 @@ def short_stack_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay_choice, "KEPT", 2)
     monkeypatch.setattr(replay_choice, "LAST", 1)
     monkeypatch.setattr(motion_candidates, "ALPHAS", ((0.05, 0.05),))
+    monkeypatch.setattr(motion_candidates, "OMNI_ALPHAS", ())
     monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9,))
     monkeypatch.setattr(pose_windows, "WindowOptions", FEW_POSES)
 

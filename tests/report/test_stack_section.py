@@ -13,6 +13,7 @@ from beamfield.report.stack_result import StackResult
 from beamfield.report.stack_section import stack_verdict
 from beamfield.stacks.coordinates import FitSpace, log_of
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
+from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.fit.fit import _at_edge
 
 
@@ -67,8 +68,9 @@ class Runs(list):
 def replayed(*, lost: tuple[int, int] = (0, 0), is_better: bool = True, stretches: int = 4) -> StackResult:
     """What replay decided by 15 runs on each stretch, before and after."""
     kept = SimpleNamespace(
-        filter=SimpleNamespace(model="beam", particles=AmclFilterParameters()), changes_map=False, sensor="fitted"
-    )
+        filter=SimpleNamespace(model="beam", motion=Nav2Motion(), particles=AmclFilterParameters()),
+        changes_map=False, sensor="fitted",
+    )  # fmt: skip
     before, after = ([Runs(15, n), *[Runs(15)] * (stretches - 1)] for n in lost)
     fit = fitted()
     return StackResult((fit,), fit, SimpleNamespace(

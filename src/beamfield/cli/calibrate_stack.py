@@ -173,8 +173,10 @@ def _said(stack: str, noise: Mapping[str, Any]) -> list[str]:
     from beamfield.stacks.registry import STACKS
 
     where = STACKS[stack].motion_elsewhere
+    if not where or not noise:
+        return []
     values = ", ".join(f"{name} = {value:g}" for name, value in noise.items())
-    return [f"motion noise to go with it, not written: it belongs under {where}: {values}"] if where and noise else []
+    return [f"motion noise to go with it, not written: it belongs under {where}: {values}"]
 
 
 def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> list[StackFit]:
@@ -305,7 +307,7 @@ def _record(found: StackResult) -> str:
 def _file_text(
     arguments: argparse.Namespace, found: StackResult, values: dict[str, Any], record: str, said: list[str]
 ) -> str:
-    from beamfield.report.stack_findings import small_z_hit
+    from beamfield.report.stack_findings import other_motion, small_z_hit
     from beamfield.report.stack_section import stack_verdict
     from beamfield.stacks.files.new_file import new_file_text
 
@@ -317,6 +319,7 @@ def _file_text(
         stack_verdict(found),
         *said,
         *(item.text for item in small_z_hit(model.stack, model.model, found.parameters)),
+        *(item.text for item in other_motion(found)),
     ]
     if found.replay is not None and found.replay.chosen.changes_map:
         comments.append(f"for the map {MOVED_MAP} beside this file, see there")

@@ -107,7 +107,7 @@ def _what(choice: ReplayChoice) -> str:
     return (
         f"{choice.n_settings} settings of {', '.join(parts)} and {last} were replayed in the emulated filter of "
         f"{before.stack}; on each stretch of the log the best on all others is judged, over "
-        f"{choice.n_runs} runs. Each starts a stretch earlier from a belief 0.25 m and 6 "
+        f"{choice.n_runs} runs. Each starts up to two stretches earlier from a belief 0.25 m and 6 "
         "degrees wide, and counts as 1 m off at most."
     )
 

@@ -10,7 +10,7 @@ from beamfield.localization.replay_comparison import ReplayComparison
 from beamfield.report.stack_result import StackResult
 from beamfield.stacks.fit.fit import StackFit
 from beamfield.stacks.fit.replay_runs import HOLLOW
-from beamfield.stacks.registry import model_named
+from beamfield.stacks.registry import STACKS, model_named
 
 # A z_hit below this share of z_rand looks like a mistake to people.
 SMALL_Z_HIT = 0.1
@@ -27,6 +27,7 @@ def stack_findings(result: StackResult) -> list[Finding]:
         *_about_lost_runs(result),
         *_about_places(result),
         *_about_model(result),
+        *other_motion(result),
         *_about_map(result),
         *_about_recovery(result),
         *z_hit,
@@ -83,6 +84,24 @@ def _about_model(result: StackResult) -> Iterator[Finding]:
             f"{model_named(result.chosen.model.stack, model).weight.text}: one scan then says more.",
             do=f"If your robot has to find itself from anywhere, try that, too: {before} forgives more there, and "
             f"--model {before} keeps it.",
+        )
+
+
+def other_motion(result: StackResult) -> Iterator[Finding]:
+    """Yield the explanation of a motion model that the user did not have, also where the robot cannot move so."""
+    key = STACKS[result.chosen.model.stack].motion_key
+    if result.replay is not None and key in result.motion:
+        motion = result.replay.parts["motion"]
+        before = getattr(result.replay.before.filter.motion, key)
+        yield Finding(
+            "stack-other-motion",
+            "info",
+            f"The filter does better with {key} = {result.motion[key]} than with {before}, which it ran before, though "
+            f"the robot need not move sideways: its position error was {motion.after:.3f} m, not {motion.before:.3f} m "
+            "with motion noise as before.",
+            why="Where walls are drawn a little off, the pose that fits lies beside the odometry's. Particles get "
+            "there by noise across the way driven, of which this model has its own (alpha5); the other has to turn.",
+            do="Leave it: the robot's controller and its odometry stay as they are. --odometry-noise keeps the model.",
         )
 
 

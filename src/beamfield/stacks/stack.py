@@ -306,6 +306,9 @@ class Stack:
         The parameter that chooses the motion model; "" if there is only one.
     motions
         By the values of `motion_key`, the default first: the motion model's parameters from calibrated odometry.
+    omni_motion
+        By the values of `motion_key`: that of the motion model whose alphas are those of `OmniMotion`, the same one
+        where it is that already; empty if there is none.
     motion_elsewhere
         Where they belong, for people, if not beside the measurement model's: they are then said, not written.
     checks
@@ -347,6 +350,7 @@ class Stack:
     filter: StackFilter | None = None
     motion_key: str = ""
     motions: Mapping[str, Callable[[OdometryCalibration], dict[str, float]]] = field(default_factory=dict)
+    omni_motion: Mapping[str, str] = field(default_factory=dict)
     motion_elsewhere: str = ""
     checks: tuple[Callable[[Any], Iterator[Finding]], ...] = ()
 

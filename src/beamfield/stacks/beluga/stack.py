@@ -126,4 +126,5 @@ BELUGA = Stack(
     filter=StackFilter(motion=BelugaMotion, parameters=BelugaFilterParameters, build=beluga_filter),
     motion_key="robot_model_type",
     motions={**_MOTIONS, **{name: _MOTIONS[own] for name, own in NAV2_NAMES.items()}},
+    omni_motion=dict.fromkeys(_MOTIONS, OMNI) | dict.fromkeys(NAV2_NAMES, [*NAV2_NAMES][-1]),
 )  # fmt: skip

@@ -19,6 +19,10 @@ BEFORE, LEARNED = "before", "learned"
 # updates are close to each other noise there costs little, and particles stay as far apart as errors of the map and
 # drift of the odometry ask for. How far the robot has come along a corridor no scan tells, and noise there is error.
 ALPHAS = ((0.02, 0.02), (0.05, 0.05), (0.1, 0.1), (0.1, 0.02), (0.2, 0.02))
+# Alphas 1 to 5 of an omni model, also for robots that cannot move sideways: where walls are drawn a little off, the
+# pose that fits lies beside the odometry's, and a model that turns, drives and turns gets there by turning alone. ROS 1
+# before Melodic has alphas 1 and 4 exchanged; these are alike.
+OMNI_ALPHAS = ((0.02, 0.02, 0.02, 0.02, 0.02), (0.02, 0.02, 0.005, 0.02, 0.02))
 # Noise four times too large costs little, but five times too small it loses robots. The floor of what is learned is a
 # reserve of its own.
 RESERVE = 2.0
@@ -27,7 +31,7 @@ RESERVE = 2.0
 class MotionCandidates(NamedTuple):
     """Values for the motion model's parameters."""
 
-    by_name: dict[str, Mapping[str, float]]
+    by_name: dict[str, Mapping[str, float | str]]
     """By a name for people, the user's own (none to change) first."""
     safe: Mapping[str, float] | None
     """Twice what the log shows, or the floor where that is more: of settings that replay cannot tell apart, the one
@@ -39,12 +43,14 @@ def motion_candidates(settings: FilterSettings, log: SensorLog, reference_error:
 
     Beside the user's own, they are those learned from the log, at the filter's own update distance, and `ALPHAS`. Where
     the stack's formula is not nav2's, values with the noise of such alphas at the same steps stand for them: of the
-    lower one in formulas with a single level. There are no others if the log does not show the odometry's noise, or the
+    lower one in formulas with a single level. Where the stack has an omni model, that one is tried with `OMNI_ALPHAS`,
+    whatever the robot's is. There are no others if the log does not show the odometry's noise, or the
     motion model has none that could be set.
     """
     described = STACKS[settings.stack]
-    convert = described.motion_from(getattr(settings.motion, described.motion_key, None))
-    candidates: dict[str, Mapping[str, float]] = {BEFORE: {}}
+    own = getattr(settings.motion, described.motion_key, None)
+    convert = described.motion_from(own)
+    candidates: dict[str, Mapping[str, float | str]] = {BEFORE: {}}
     if convert is None:
         return MotionCandidates(candidates, None)
     min_distance, min_turn = settings.update_distances
@@ -55,11 +61,17 @@ def motion_candidates(settings: FilterSettings, log: SensorLog, reference_error:
         return MotionCandidates(candidates, None)
     candidates[LEARNED] = convert(learned)
     shown = convert(_without_floor(learned))
-    safe = {name: max(least, RESERVE * shown[name]) for name, least in candidates[LEARNED].items()}
+    safe = {name: max(least, RESERVE * shown[name]) for name, least in convert(learned).items()}
     for rotation, translation in ALPHAS:
         same = rotation == translation
         name = f"alpha {rotation:g}" if same else f"alphas {rotation:g} and {translation:g}"
         candidates[name] = convert(_with_alphas(learned, rotation, translation))
+    if (omni := described.omni_motion.get(str(own))) is not None and (to_omni := described.motion_from(omni)):
+        names = list(to_omni(learned))
+        for alphas in OMNI_ALPHAS:
+            same = len(set(alphas)) == 1
+            name = f"omni {alphas[0]:g}" if same else f"omni {alphas[0]:g} and {alphas[2]:g}"
+            candidates[name] = {described.motion_key: omni} | dict(zip(names, alphas, strict=True))
     return MotionCandidates(_without_repetition(candidates), safe)
 
 
@@ -78,8 +90,10 @@ def _with_alphas(learned: OdometryCalibration, rotation: float, translation: flo
     )
 
 
-def _without_repetition(candidates: Mapping[str, Mapping[str, float]]) -> dict[str, Mapping[str, float]]:
-    kept: dict[str, Mapping[str, float]] = {}
+def _without_repetition(
+    candidates: Mapping[str, Mapping[str, float | str]],
+) -> dict[str, Mapping[str, float | str]]:
+    kept: dict[str, Mapping[str, float | str]] = {}
     for name, values in candidates.items():
         if values not in kept.values():
             kept[name] = values

@@ -270,7 +270,7 @@ def choose_by_replay(
         )
 
     choice = judge(finalist, crossed)
-    for part in PARTS:
+    for part in ("motion", "recovery"):
         # All stretches chose it; what the judgement does not confirm is chance.
         if part not in _known(choice.finalist) and choice.is_better and not _is_confirmed(choice, part):
             key, *keys = (one.key._replace(**{part: getattr(its, part)}) for one in (choice.finalist, *crossed))
@@ -278,10 +278,10 @@ def choose_by_replay(
             rest = judge(settings[key], simpler)
             choice, crossed = (rest, simpler) if rest.is_better else (choice, crossed)
     others = {one.sensor for one in crossed} - {BEFORE} if finalist.sensor == BEFORE else {finalist.sensor}
-    if choice.is_better or not others:
+    if not others or (choice.is_better and _is_confirmed(choice, "sensor")):
         return choice
     # What is not better for sure, as a sensor that loses a few robots, must not hide what is; nor must one that only
-    # some of the stretches choose.
+    # some of the stretches choose. Other values of the sensor go with other motion noise.
     fewer = {name: one for name, one in sensors.items() if name not in others}
     again = choose_by_replay(
         before, fewer, motions, shift, stretches, grid, options, progress, kept, hollow=hollow, is_moved=is_moved
@@ -336,14 +336,16 @@ def _costs_by_stretch(trials: Mapping[Key, Sequence[ReplayTrials]]) -> FloatArra
 def _of_equals(settings: Sequence[ReplaySetting], cost: FloatArray, safe: Any) -> ReplaySetting:
     """Return the best setting by costs (n,), or one about as good whose motion noise is nearer to the safe one.
 
-    Only settings with the same sensor are about as good: which sensor's values are best, noise does not tell.
+    One with the user's motion model comes first. Only settings with the same sensor are about as good: which sensor's
+    values are best, noise does not tell.
     """
     best = settings[int(np.argmin(cost))]
     if safe is None:
         return best
 
-    def apart(i: int) -> tuple[float, float]:
-        return abs(log(_noise(settings[i].filter.motion) / _noise(safe))), float(cost[i])
+    def apart(i: int) -> tuple[bool, float, float]:
+        motion = settings[i].filter.motion
+        return _kind(motion) != _kind(safe), abs(log(_noise(motion) / _noise(safe))), float(cost[i])
 
     as_good = [i for i, one in enumerate(settings) if one.sensor == best.sensor and cost[i] <= cost.min() + AS_GOOD]
     return settings[min(as_good, key=apart)]
@@ -354,6 +356,11 @@ def _noise(motion: Any) -> float:
     values = asdict(motion).items()
     numbers = [value for name, value in values if isinstance(value, float) and not name.endswith("5")]
     return max(LEAST_NOISE, sum(numbers))
+
+
+def _kind(motion: Any) -> list[str]:
+    """Return which motion model runs."""
+    return [value for value in asdict(motion).values() if isinstance(value, str)]
 
 
 def _is_surely_cheaper(one: ReplaySetting, other: ReplaySetting, replays: Replays, asked: Sequence[int]) -> bool:

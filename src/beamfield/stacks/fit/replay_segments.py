@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,9 @@ from beamfield.sensors import SensorLog
 
 # Updates of a stretch: the least that says anything, and as many as it has before there are more stretches.
 FEWEST_UPDATES, USUAL_UPDATES = 12, 25
+# Stretches that lead in to one. From a start 0.25 m off, filters in corridors take one for the particles to gather, and
+# what is left of the start counts for more than how they track.
+LEAD_IN = 2
 # Motion between two updates of amcl, metres and radians.
 USUAL_DISTANCES = 0.25, 0.2
 
@@ -21,14 +23,17 @@ USUAL_DISTANCES = 0.25, 0.2
 def cut_segments(
     log: SensorLog, update_min_d: float, update_min_a: float, *, most: int, longest: int
 ) -> tuple[SensorLog, ...]:
-    """Cut a log into stretches with as many updates of a filter each, every one with that before it as a lead-in.
+    """Cut a log into stretches with as many updates of a filter each, every one with the two before it as a lead-in.
+
+    The second has the first alone.
 
     What leads in is not judged: it has no reference poses but for the first scan's, from which the filter starts. Where
     places look alike, particles from a wide start need long to gather, which would count for more than all tracking.
 
     Updates are update_min_d metres or update_min_a radians apart; where the filter takes every scan (0 for both),
-    stretches are as long as those of amcl. There are two to `most` stretches of at most `longest` updates, and as many
-    lead in: of a long log the rest is left out. TooLittleDataError if there are not enough updates for three stretches.
+    stretches are as long as those of amcl. There are two to `most` stretches of at most `longest` updates, and twice as
+    many lead in: of a long log the rest is left out. TooLittleDataError if there are not enough updates for three
+    stretches.
     """
     with_reference = np.where(np.isfinite(log.poses).all(axis=1, keepdims=True), log.odometry, np.nan)
     if update_min_d == update_min_a == 0.0:
@@ -41,7 +46,10 @@ def cut_segments(
         )
     n = int(np.clip(len(updates) // USUAL_UPDATES - 1, 2, most))
     parts = np.array_split(updates, n + 1)
-    return tuple(_judged_after(log, lead[-longest:], part[:longest]) for lead, part in pairwise(parts))
+    return tuple(
+        _judged_after(log, np.concatenate(parts[max(0, i - LEAD_IN) : i])[-LEAD_IN * longest :], parts[i][:longest])
+        for i in range(1, n + 1)
+    )
 
 
 def _judged_after(log: SensorLog, lead: NDArray[np.int64], judged: NDArray[np.int64]) -> SensorLog:

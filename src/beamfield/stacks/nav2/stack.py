@@ -76,5 +76,6 @@ NAV2 = amcl_stack(
     filter=StackFilter(motion=Nav2Motion, parameters=AmclFilterParameters, build=amcl_filter),
     motion_key="robot_model_type",
     motions=_MOTIONS | {old: _MOTIONS[new] for old, new in OLD_NAMES.items()},
+    omni_motion=dict.fromkeys(_MOTIONS, OMNI) | dict.fromkeys(OLD_NAMES, [*OLD_NAMES][-1]),
     checks=(uninitialised_queue, old_motion_name),
 )  # fmt: skip

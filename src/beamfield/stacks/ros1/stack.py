@@ -10,7 +10,7 @@ from beamfield.stacks.amcl.stack import amcl_stack
 from beamfield.stacks.ros1.filter import Ros1FilterParameters, ros1_filter
 from beamfield.stacks.ros1.learned_motion import DIFF, OMNI, corrected, literal
 from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
-from beamfield.stacks.ros1.motion import Ros1Motion
+from beamfield.stacks.ros1.motion import MODEL_TYPES, Ros1Motion
 from beamfield.stacks.ros1.parameters import Ros1Parameters
 from beamfield.stacks.stack import SURE, StackFilter
 from beamfield.stacks.syntax.parameter_text import ParameterSection
@@ -51,4 +51,5 @@ ROS1 = amcl_stack(
         "diff-corrected": partial(corrected, differential_alphas),
         "omni-corrected": partial(corrected, omni_alphas),
     },
+    omni_motion=dict.fromkeys(MODEL_TYPES, "omni-corrected"),
 )

@@ -13,8 +13,8 @@ from beamfield.report.stack_result import StackResult
 from beamfield.report.stack_section import stack_verdict
 from beamfield.stacks.coordinates import FitSpace, log_of
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
-from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.fit.fit import _at_edge
+from beamfield.stacks.nav2.motion import Nav2Motion
 
 
 def scores(coverage: float, mean: float) -> SimpleNamespace:

@@ -68,7 +68,9 @@ class Runs(list):
 def replayed(*, lost: tuple[int, int] = (0, 0), is_better: bool = True, stretches: int = 4) -> StackResult:
     """What replay decided by 15 runs on each stretch, before and after."""
     kept = SimpleNamespace(
-        filter=SimpleNamespace(model="beam", motion=Nav2Motion(), particles=AmclFilterParameters()),
+        filter=SimpleNamespace(
+            model="beam", sensor="fitted", motion=Nav2Motion(), particles=AmclFilterParameters()
+        ),
         changes_map=False, sensor="fitted",
     )  # fmt: skip
     before, after = ([Runs(15, n), *[Runs(15)] * (stretches - 1)] for n in lost)

@@ -74,9 +74,7 @@ def choose(stack: str, model: str, place: Place, *, any_model: bool) -> tuple[Re
     sensors = {BEFORE: (model, fit.before.parameters), "fitted": (model, fit.parameters)}
     for other in described.models.values() if any_model else ():
         if other.weight == FIELD_PRODUCT and not described.model(model).weight.is_product:
-            rival = fit_model(stack, other.name, place)
-            sensors[f"{other.name} fitted"] = other.name, rival.parameters
-            sensors[f"{other.name} before"] = other.name, rival.before.parameters
+            sensors[f"{other.name} fitted"] = other.name, fit_model(stack, other.name, place).parameters
     began = time.process_time()
     before = place.settings(
         FilterSettings(stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters())

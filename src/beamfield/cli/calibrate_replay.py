@@ -54,7 +54,6 @@ def replay_fit(
         sensors["fitted"] = fit.model.model, fit.parameters
     for other in others:
         sensors[f"{other.model.model} fitted"] = other.model.model, other.parameters
-        sensors[f"{other.model.model} {BEFORE}"] = other.model.model, other.before.parameters
     shift = _shift(job, before, grid)
     hollow = takes_hollow_map(job, before.stack, sensors.values(), grid)
     inputs = before, sensors, motions, shift, stretches, grid, options

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from beamfield.stacks.fit.fit import LEAST_COVERAGE, StackFit, Trial
+from beamfield.stacks.fit.motion_candidates import BEFORE
 from beamfield.stacks.fit.replay_choice import ReplayChoice
 
 # Fewer stretches of a log than these are too few places to be judged by.
@@ -61,7 +62,7 @@ class StackResult:
     @property
     def trial(self) -> Trial:
         """The sensor's values to use: those before or those fitted."""
-        keeps = self.replay is not None and self.replay.chosen.filter.sensor == self.chosen.before.parameters
+        keeps = self.replay is not None and self.replay.chosen.sensor == BEFORE
         return self.chosen.before if keeps else self.chosen.chosen
 
     @property

@@ -413,6 +413,33 @@ def test_motion_noise_that_only_the_choice_likes_stays_as_it_was(office, monkeyp
     assert set(choice.parts) == {"sensor"}
 
 
+def test_without_a_sensor_that_is_not_confirmed_other_motion_noise_is_chosen(office, monkeypatch):
+    # Each room chooses the fitted sensor with noise that errs in the other; the user's sensor does better with "same".
+    errors = {("fitted", "of room"): (0.03, 0.12), ("fitted", "of hall"): (0.12, 0.03),
+              ("fitted", "of both"): (0.045,) * 2, ("before", "of room"): (0.09,) * 2,
+              ("before", "of hall"): (0.09,) * 2, ("before", "of both"): (0.09,) * 2,
+              ("before", "same"): (0.06,) * 2}  # fmt: skip
+
+    def runs(key: Key) -> list[ReplayTrials]:
+        known = errors.get((key.sensor, key.motion), (0.3, 0.3))
+        return [
+            ReplayTrials(name, tuple(range(12)), tuple(replace(RUN, mean=error + 0.0001 * i) for i in range(12)))
+            for name, error in zip(("room", "hall"), known, strict=True)
+        ]
+
+    class Known(Replays):
+        def of(self, settings, *_):
+            return {one.key: runs(one.key) for one in settings}
+
+    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    names = ("before", "of room", "of hall", "of both", "same")
+    noises = MotionCandidates({name: {"alpha1": 0.01 * i} for i, name in enumerate(names)}, None)
+    sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, sigma_hit=0.1))}
+    choice = choose_by_replay(nav2_filter(), sensors, noises, 0.0, [None] * 2, office, FEW)
+    assert choice.is_better
+    assert (choice.chosen.sensor, choice.chosen.motion) == ("before", "same")
+
+
 def test_the_table_says_how_often_the_truth_is_inside_without_each_part(repaired):
     rivals = {"motion": 0.5, "origin": 0.25}
     trials = {

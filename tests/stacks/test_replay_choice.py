@@ -504,7 +504,7 @@ def test_a_motion_model_that_the_user_did_not_have_is_explained(repaired):
     assert finding.name == "stack-other-motion"
     assert f"robot_model_type = {NAV2_OMNI} than with {NAV2_DIFFERENTIAL}" in finding.text
     part = repaired.parts["motion"]
-    assert f"{part.after:.3f} m, not {part.before:.3f} m" in finding.text
+    assert f"{part.after:.3f} m, with the motion noise as before {part.before:.3f} m" in finding.text
 
 
 def test_rays_are_replayed_less_and_filters_that_take_every_scan(drive):

@@ -96,8 +96,8 @@ def other_motion(result: StackResult) -> Iterator[Finding]:
         yield Finding(
             "stack-other-motion",
             "info",
-            f"The filter does better with {key} = {result.motion[key]} than with {before}, which it ran before, also if "
-            f"the robot cannot move sideways: its position error was {motion.after:.3f} m, with the motion noise as "
+            f"The filter does better with {key} = {result.motion[key]} than with {before}, which it ran before, also "
+            f"if the robot cannot move sideways: its position error was {motion.after:.3f} m, with the motion noise as "
             f"before {motion.before:.3f} m.",
             why="Where walls are drawn a little off, the pose that fits lies beside the odometry's. Particles get "
             "there by noise across the way driven, of which this model has its own (alpha5); the other has to turn.",

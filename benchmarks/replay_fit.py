@@ -27,7 +27,8 @@ from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.fit import StackFit, fit_stack
 from beamfield.stacks.fit.motion_candidates import BEFORE, motion_candidates
-from beamfield.stacks.fit.replay_choice import ReplayChoice, choose_by_replay, replay_options
+from beamfield.stacks.fit.replay_amount import replay_options
+from beamfield.stacks.fit.replay_choice import ReplayChoice, choose_by_replay
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.stack import FIELD_PRODUCT

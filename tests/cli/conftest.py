@@ -10,7 +10,7 @@ import pytest
 from beamfield.calibration import pose_windows
 from beamfield.localization import trajectory_start
 from beamfield.simulation import floor_plan
-from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
+from beamfield.stacks.fit import fit_space, motion_candidates, replay_amount, replay_choice
 from tests.few_poses import FEW_POSES, few_poses
 
 # Out of the fixture: a process runs files of other packages in between, and comes back.
@@ -38,9 +38,9 @@ def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def short_stack_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Try few settings, numbers of beams and poses for a stack: which are tried is tested elsewhere."""
-    few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=12)
-    monkeypatch.setattr(replay_choice, "OF_FIELDS", few)
-    monkeypatch.setattr(replay_choice, "OF_RAYS", few)
+    few = replay_amount.ReplayOptions(runs=10, most_stretches=2, longest=12)
+    monkeypatch.setattr(replay_amount, "OF_FIELDS", few)
+    monkeypatch.setattr(replay_amount, "OF_RAYS", few)
     monkeypatch.setattr(replay_choice, "KEPT", 2)
     monkeypatch.setattr(replay_choice, "LAST", 1)
     monkeypatch.setattr(motion_candidates, "ALPHAS", ((0.05, 0.05),))

@@ -35,15 +35,9 @@ from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.fit import replay_runs
 from beamfield.stacks.fit.kept_runs import KeptRuns, kept_runs
 from beamfield.stacks.fit.motion_candidates import MotionCandidates, motion_candidates
-from beamfield.stacks.fit.replay_choice import (
-    ReplayChoice,
-    ReplayOptions,
-    _of_equals,
-    choose_by_replay,
-    clipped,
-    costs,
-    replay_options,
-)
+from beamfield.stacks.fit.replay_amount import ReplayOptions, replay_options
+from beamfield.stacks.fit.replay_choice import ReplayChoice, _of_equals, choose_by_replay
+from beamfield.stacks.fit.replay_cost import clipped, costs
 from beamfield.stacks.fit.replay_runs import Key, Replays, ReplaySetting
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.mrpt.filter import MrptFilterParameters

@@ -31,7 +31,8 @@ def replay_fit(
     from beamfield.stacks.files.calibration_record import goes_with_moved_map
     from beamfield.stacks.fit.kept_runs import kept_runs
     from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED, motion_candidates
-    from beamfield.stacks.fit.replay_choice import choose_by_replay, replay_options
+    from beamfield.stacks.fit.replay_amount import replay_options
+    from beamfield.stacks.fit.replay_choice import choose_by_replay
     from beamfield.stacks.fit.replay_segments import cut_segments
 
     if not sensor.has_odometry:

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain, product
-from math import ceil, log, sqrt
+from math import log
 from typing import Any
 
 import numpy as np
 
-from beamfield.calibration.odometry.windows import update_scans
 from beamfield.geometry import FloatArray
-from beamfield.localization.replay import ReplayErrors
-from beamfield.localization.replay_comparison import FEWEST_SEEDS, ReplayComparison, ReplayTrials, compare_trials
+from beamfield.localization.replay_comparison import ReplayComparison, ReplayTrials
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.kept_runs import KeptRuns
 from beamfield.stacks.fit.motion_candidates import BEFORE, MotionCandidates
+from beamfield.stacks.fit.replay_amount import ReplayOptions
+from beamfield.stacks.fit.replay_cost import clipped, compared, costs, costs_by_stretch, is_surely_better
 from beamfield.stacks.fit.replay_runs import HOLLOW, Key, Progress, Replays, ReplaySetting
-from beamfield.stacks.fit.replay_segments import USUAL_DISTANCES
 from beamfield.stacks.registry import STACKS, model_named
 
-# A run that is farther off counts as so far, metres: lost runs count, but not how far they went.
-FARTHEST = 1.0
-# No reference is better than this, metres.
-NEAREST = 0.001
 # Seeds of the race's first round, how many settings come into the second, and how many with the best sensor's values
 # into the last; there the best with other values of the sensor runs as well.
 FIRST_SEEDS, KEPT, LAST = 2, 6, 3
@@ -36,59 +31,9 @@ OFF = "off"
 PARTS = ("motion", "sensor", "recovery")
 # Motion noise of 0 is compared as this.
 LEAST_NOISE = 1e-6
-# An error counts this many times more than it is, per share of the updates that the particles' 95% ellipse lacks of
-# holding the reference in 90%: 0.1 m with 70% as 0.14 m. That much is missing by chance in a few dozen updates.
-COVERAGE_PRICE = 2.0
-COVERAGE = 0.9
 # Settings that cost so little more than the best, relatively, are as good on a few stretches. Of them the one is taken
 # whose motion noise is nearest to what is safe by the log.
 AS_GOOD = 0.1
-
-
-@dataclass(frozen=True)
-class ReplayOptions:
-    """How much is replayed.
-
-    Parameters
-    ----------
-    runs
-        Of each setting that comes into the last round, over stretches and seeds: at least so many.
-    most_stretches, longest
-        Stretches of the log, and updates of one, at most.
-    seed
-        The first seed.
-    """
-
-    runs: int = 60
-    most_stretches: int = 8
-    longest: int = 40
-    seed: int = 0
-
-    def seeds(self, n_stretches: int) -> int:
-        """Return how many seeds make so many runs on these stretches, and not too few to be sure of anything."""
-        return max(FEWEST_SEEDS, ceil(self.runs / n_stretches))
-
-
-# By the model's kind: a cast ray costs some twenty times a look-up in a field.
-OF_FIELDS = ReplayOptions()
-OF_RAYS = ReplayOptions(runs=30, most_stretches=4)
-# Where a filter takes more scans than so many for each update of amcl, there are fewer runs, and shorter ones.
-AFFORDABLE_SCANS = 2.0
-
-
-def replay_options(settings: FilterSettings, log: SensorLog, seed: int) -> ReplayOptions:
-    """Return how much a filter can afford on a log: fewer and shorter runs if updates are costly or many."""
-    usual = OF_FIELDS if model_named(settings.stack, settings.model).weight.of_field else OF_RAYS
-    less = max(1.0, sqrt(_scans_per_update(settings, log) / AFFORDABLE_SCANS))
-    return replace(usual, runs=ceil(usual.runs / less), longest=ceil(usual.longest / less), seed=seed)
-
-
-def _scans_per_update(settings: FilterSettings, log: SensorLog) -> float:
-    """Return how many scans a filter takes where amcl takes one."""
-    if settings.update_distances != (0.0, 0.0):
-        return 1.0
-    taken = settings.at_ticks(log).odometry
-    return float(np.isfinite(taken).all(axis=1).sum() / max(1, len(update_scans(taken, *USUAL_DISTANCES))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +166,7 @@ def choose_by_replay(
     replays = Replays(stretches, grid, options.seeds(len(stretches)), options.seed, kept)
     safe = None if motions.safe is None else replace(before.motion, **motions.safe)
     last = _race(raced, replays, progress)
-    by_stretch = _costs_by_stretch(replays.of(last, replays.n_seeds, f"comparing the best {len(last)}", progress))
+    by_stretch = costs_by_stretch(replays.of(last, replays.n_seeds, f"comparing the best {len(last)}", progress))
 
     def choose(asked: Sequence[int]) -> ReplaySetting:
         best = _of_equals(last, by_stretch[:, asked].mean(axis=1), safe)
@@ -257,13 +202,13 @@ def choose_by_replay(
         return ReplayChoice(
             before=own,
             finalist=finalist,
-            is_better=_is_surely_better(before_, after),
+            is_better=is_surely_better(before_, after),
             trials_before=before_,
             trials_finalist=after,
             trials_without=without_parts,
-            error=_compared(before_, after, clipped),
-            cost=_compared(before_, after, costs),
-            parts={name: _compared(rivals, after, clipped) for name, rivals in without_parts.items()},
+            error=compared(before_, after, clipped),
+            cost=compared(before_, after, costs),
+            parts={name: compared(rivals, after, clipped) for name, rivals in without_parts.items()},
             n_settings=len(tried),
             moves_origin=bool(shift) and not is_moved,
             hollows_solids=hollow and not is_moved,
@@ -289,25 +234,6 @@ def choose_by_replay(
     return replace(again, n_settings=choice.n_settings) if again.is_better else choice
 
 
-def clipped(trials: ReplayTrials) -> ReplayTrials:
-    """Return runs whose mean error is no more than 1 m."""
-    return _counted(trials, lambda one: min(one.mean, FARTHEST))
-
-
-def costs(trials: ReplayTrials) -> ReplayTrials:
-    """Return runs with the logarithm of their error, no more than 1 m and raised for missing coverage, as the mean."""
-
-    def cost(one: ReplayErrors) -> float:
-        missing = max(0.0, COVERAGE - one.inside_noisy)
-        return float(np.log(max(min(one.mean, FARTHEST), NEAREST) * (1.0 + COVERAGE_PRICE * missing)))
-
-    return _counted(trials, cost)
-
-
-def _counted(trials: ReplayTrials, count: Callable[[ReplayErrors], float]) -> ReplayTrials:
-    return replace(trials, errors=tuple(replace(one, mean=count(one)) for one in trials.errors))
-
-
 def _race(settings: list[ReplaySetting], replays: Replays, progress: Progress | None) -> list[ReplaySetting]:
     """Return the settings worth all seeds.
 
@@ -317,7 +243,7 @@ def _race(settings: list[ReplaySetting], replays: Replays, progress: Progress | 
     some = max(FIRST_SEEDS + 1, replays.n_seeds // 3)
 
     def best_first(raced: Sequence[ReplaySetting], n_seeds: int, stage: str) -> list[ReplaySetting]:
-        cost = _costs_by_stretch(replays.of(raced, n_seeds, stage, progress)).mean(axis=1)
+        cost = costs_by_stretch(replays.of(raced, n_seeds, stage, progress)).mean(axis=1)
         return [raced[i] for i in np.argsort(cost, kind="stable")]
 
     left = best_first(settings, FIRST_SEEDS, f"racing {len(settings)} settings")[:KEPT]
@@ -326,11 +252,6 @@ def _race(settings: list[ReplaySetting], replays: Replays, progress: Progress | 
     others = [one for one in left if one.sensor != best.sensor][:1]
     left = [one for one in settings if one.key._replace(motion=best.motion) == best.key]
     return best_first(left, some, "comparing motion noise")[:LAST] + others
-
-
-def _costs_by_stretch(trials: Mapping[Key, Sequence[ReplayTrials]]) -> FloatArray:
-    """Return the mean cost (n, s) of n settings on s stretches."""
-    return np.array([[costs(one).mean("mean") for one in runs] for runs in trials.values()])
 
 
 def _of_equals(settings: Sequence[ReplaySetting], cost: FloatArray, safe: Any) -> ReplaySetting:
@@ -367,7 +288,7 @@ def _is_surely_cheaper(one: ReplaySetting, other: ReplaySetting, replays: Replay
     """Return whether a setting's cost on some stretches is lower than another's for sure."""
     trials = replays.of((one, other), replays.n_seeds)
     after, before = ([trials[which.key][i] for i in asked] for which in (one, other))
-    return _compared(before, after, costs).is_lower
+    return compared(before, after, costs).is_lower
 
 
 def _known(setting: ReplaySetting) -> list[str]:
@@ -382,7 +303,7 @@ def _unless_surely_worse(corrected: ReplaySetting, plain: ReplaySetting, replays
     if corrected is plain:
         return plain
     trials = replays.of((corrected, plain), replays.n_seeds)
-    return plain if _compared(trials[plain.key], trials[corrected.key], clipped).is_higher else corrected
+    return plain if compared(trials[plain.key], trials[corrected.key], clipped).is_higher else corrected
 
 
 def _without_each_part(
@@ -397,19 +318,5 @@ def _is_confirmed(choice: ReplayChoice, part: str) -> bool:
     """Return whether the finalist's error or cost is surely lower with a part; true if it does not differ in it."""
     if part not in choice.parts:
         return True
-    cost = _compared(choice.trials_without[part], choice.trials_finalist, costs)
+    cost = compared(choice.trials_without[part], choice.trials_finalist, costs)
     return cost.is_lower or choice.parts[part].is_lower
-
-
-def _is_surely_better(before: Sequence[ReplayTrials], after: Sequence[ReplayTrials]) -> bool:
-    """Return whether the cost is surely lower, and neither the error nor the share of lost runs surely higher."""
-    error, cost = _compared(before, after, clipped), _compared(before, after, costs)
-    coverage, lost = (compare_trials(before, after, measure) for measure in ("inside_noisy", "lost"))
-    # A few per cent less where errors are small lower the cost, though the error elsewhere may well have grown by more.
-    return cost.is_lower and (error.is_lower or coverage.is_higher) and not (error.is_higher or lost.is_higher)
-
-
-def _compared(
-    before: Sequence[ReplayTrials], after: Sequence[ReplayTrials], counted: Callable[[ReplayTrials], ReplayTrials]
-) -> ReplayComparison:
-    return compare_trials([counted(one) for one in before], [counted(one) for one in after])

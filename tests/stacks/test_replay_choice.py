@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -331,18 +332,32 @@ def test_a_motion_model_without_alphas_stays(drive):
     assert motion_candidates(settings, drive, 0.01) == ({"before": {}}, None)
 
 
-def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office, monkeypatch):
-    def runs(key: Key) -> ReplayTrials:
-        error = {"before": 0.3, "fitted": 0.1}[key.sensor] * (0.6 if key.motion == "alpha 0.02" else 1.0)
-        loses = key.sensor == "fitted"
-        errors = [replace(RUN, mean=error * (1.0 + 0.01 * i), lost=loses and i % 2 == 0) for i in range(12)]
-        return ReplayTrials("hall", tuple(range(12)), tuple(errors))
+def give_runs(monkeypatch: pytest.MonkeyPatch, runs: Callable[[Key], list[ReplayTrials]]) -> None:
+    """Let settings have these runs, on each stretch, instead of being replayed."""
 
     class Known(Replays):
         def of(self, settings, *_):
-            return {one.key: [runs(one.key)] * 2 for one in settings}
+            return {one.key: runs(one.key) for one in settings}
 
     monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+
+
+def sure_runs(*errors: float) -> list[ReplayTrials]:
+    """Return runs that hardly differ on each stretch, by their errors."""
+    return [
+        ReplayTrials(f"room {i}", tuple(range(12)), tuple(replace(RUN, mean=error + 0.0001 * n) for n in range(12)))
+        for i, error in enumerate(errors)
+    ]
+
+
+def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office, monkeypatch):
+    def runs(key: Key) -> list[ReplayTrials]:
+        error = {"before": 0.3, "fitted": 0.1}[key.sensor] * (0.6 if key.motion == "alpha 0.02" else 1.0)
+        loses = key.sensor == "fitted"
+        errors = [replace(RUN, mean=error * (1.0 + 0.01 * i), lost=loses and i % 2 == 0) for i in range(12)]
+        return [ReplayTrials("hall", tuple(range(12)), tuple(errors))] * 2
+
+    give_runs(monkeypatch, runs)
     sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, z_hit=0.9))}
 
     def choose(**motions: dict[str, float]) -> ReplayChoice:
@@ -364,17 +379,7 @@ def test_a_sensor_that_only_some_stretches_choose_does_not_hide_what_is_better_f
     errors = {("before", "before"): (0.3,) * 3, ("before", "alpha 0.02"): (0.18,) * 3,
               ("fitted", "before"): (0.3, 0.3, 1.0), ("fitted", "alpha 0.02"): (0.1, 0.1, 1.0)}  # fmt: skip
 
-    def runs(key: Key) -> list[ReplayTrials]:
-        return [
-            ReplayTrials(name, tuple(range(12)), tuple(replace(RUN, mean=error + 0.0001 * i) for i in range(12)))
-            for name, error in zip(("room", "room 2", "hall"), errors[key.sensor, key.motion], strict=True)
-        ]
-
-    class Known(Replays):
-        def of(self, settings, *_):
-            return {one.key: runs(one.key) for one in settings}
-
-    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    give_runs(monkeypatch, lambda key: sure_runs(*errors[key.sensor, key.motion]))
     sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, z_hit=0.9))}
     noises = MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
     choice = choose_by_replay(nav2_filter(), sensors, noises, 0.0, [None] * 3, office, FEW)
@@ -387,18 +392,7 @@ def test_motion_noise_that_only_the_choice_likes_stays_as_it_was(office, monkeyp
     # One noise for each room, worse in the other than the user's, and one that is a little better in both.
     errors = {"before": (0.054, 0.054), "of room": (0.035, 0.08), "of hall": (0.08, 0.035), "of both": (0.045, 0.045)}
 
-    def runs(key: Key) -> list[ReplayTrials]:
-        known = errors[key.motion] if key.sensor == "fitted" else (0.2, 0.2)
-        return [
-            ReplayTrials(name, tuple(range(12)), tuple(replace(RUN, mean=error + 0.0001 * i) for i in range(12)))
-            for name, error in zip(("room", "hall"), known, strict=True)
-        ]
-
-    class Known(Replays):
-        def of(self, settings, *_):
-            return {one.key: runs(one.key) for one in settings}
-
-    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    give_runs(monkeypatch, lambda key: sure_runs(*(errors[key.motion] if key.sensor == "fitted" else (0.2, 0.2))))
     noises = MotionCandidates({name: {"alpha1": 0.01 * i} for i, name in enumerate(errors)}, None)
     sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, sigma_hit=0.1))}
     choice = choose_by_replay(nav2_filter(), sensors, noises, 0.0, [None] * 2, office, FEW)
@@ -414,18 +408,7 @@ def test_without_a_sensor_that_is_not_confirmed_other_motion_noise_is_chosen(off
               ("before", "of hall"): (0.09,) * 2, ("before", "of both"): (0.09,) * 2,
               ("before", "same"): (0.06,) * 2}  # fmt: skip
 
-    def runs(key: Key) -> list[ReplayTrials]:
-        known = errors.get((key.sensor, key.motion), (0.3, 0.3))
-        return [
-            ReplayTrials(name, tuple(range(12)), tuple(replace(RUN, mean=error + 0.0001 * i) for i in range(12)))
-            for name, error in zip(("room", "hall"), known, strict=True)
-        ]
-
-    class Known(Replays):
-        def of(self, settings, *_):
-            return {one.key: runs(one.key) for one in settings}
-
-    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    give_runs(monkeypatch, lambda key: sure_runs(*errors.get((key.sensor, key.motion), (0.3, 0.3))))
     names = ("before", "of room", "of hall", "of both", "same")
     noises = MotionCandidates({name: {"alpha1": 0.01 * i} for i, name in enumerate(names)}, None)
     sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, sigma_hit=0.1))}
@@ -459,11 +442,7 @@ def test_a_little_less_where_errors_are_small_is_no_gain_unless_particles_hold_t
         errors_of_runs = [replace(RUN, mean=error, inside_noisy=inside) for error in errors]
         return ReplayTrials(stretch, tuple(range(12)), tuple(errors_of_runs))
 
-    class Known(Replays):
-        def of(self, settings, *_):
-            return {one.key: [runs(one.key, stretch) for stretch in ("room", "other room", "hall")] for one in settings}
-
-    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    give_runs(monkeypatch, lambda key: [runs(key, stretch) for stretch in ("room", "other room", "hall")])
     noises = MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
     choice = choose_by_replay(nav2_filter(), {"before": (KIND, SENSOR)}, noises, 0.0, [None] * 3, office, FEW)
     assert choice.finalist.motion == "alpha 0.02"

@@ -430,3 +430,7 @@ def test_nothing_is_kept_for_a_user_without_a_home(monkeypatch):
     with kept_runs(_cache_folder(), "inputs") as kept:
         kept.write()
     assert not _cache_folder().exists()
+
+
+def test_another_motion_model_is_written_not_said():
+    assert _said("nav2", {"robot_model_type": "nav2_amcl::OmniMotionModel", "alpha5": 0.02}) == []

@@ -304,6 +304,11 @@ def test_an_omni_model_is_tried_for_robots_that_cannot_move_sideways(drive, stac
     assert not formula.variance_as_deviation
 
 
+def test_an_omni_model_with_a_formula_of_its_own_stays(drive):
+    settings = FilterSettings("ros1", KIND, None, Ros1Motion("omni"), AmclFilterParameters())
+    assert all("odom_model_type" not in values for values in motion_candidates(settings, drive, 0.01).by_name.values())
+
+
 def test_where_alphas_mean_something_else_they_stand_for_the_same_noise(drive):
     settings = FilterSettings("ros1", KIND, None, Ros1Motion(), AmclFilterParameters())
     found = motion_candidates(settings, drive, 0.01).by_name

@@ -308,9 +308,10 @@ class Stack:
         By the values of `motion_key`, the default first: the motion model's parameters from calibrated odometry.
     omni_motion
         By the values of `motion_key`: that of the motion model whose alphas are those of `OmniMotion`, the same one
-        where it is that already; empty if there is none.
+        where it is that already; none for models that are not to be left.
     motion_elsewhere
-        Where they belong, for people, if not beside the measurement model's: they are then said, not written.
+        Where the motion model's parameters belong, for people, if not beside the measurement model's: they are then
+        said, not written.
     checks
         Findings of its own: called with what `beamfield.stacks.doctor` looks at.
     """

@@ -44,8 +44,8 @@ def motion_candidates(settings: FilterSettings, log: SensorLog, reference_error:
     Beside the user's own, they are those learned from the log, at the filter's own update distance, and `ALPHAS`. Where
     the stack's formula is not nav2's, values with the noise of such alphas at the same steps stand for them: of the
     lower one in formulas with a single level. Where the stack has an omni model, that one is tried with `OMNI_ALPHAS`,
-    whatever the robot's is. There are no others if the log does not show the odometry's noise, or the
-    motion model has none that could be set.
+    whatever the robot's is. There are no others if the log does not show the odometry's noise, or the motion model has
+    none that could be set.
     """
     described = STACKS[settings.stack]
     own = getattr(settings.motion, described.motion_key, None)
@@ -59,9 +59,9 @@ def motion_candidates(settings: FilterSettings, log: SensorLog, reference_error:
         learned = calibrate_odometry(settings.at_ticks(log), options)
     except TooLittleDataError:
         return MotionCandidates(candidates, None)
-    candidates[LEARNED] = convert(learned)
+    candidates[LEARNED] = least = convert(learned)
     shown = convert(_without_floor(learned))
-    safe = {name: max(least, RESERVE * shown[name]) for name, least in convert(learned).items()}
+    safe = {name: max(value, RESERVE * shown[name]) for name, value in least.items()}
     for rotation, translation in ALPHAS:
         same = rotation == translation
         name = f"alpha {rotation:g}" if same else f"alphas {rotation:g} and {translation:g}"

@@ -51,5 +51,6 @@ ROS1 = amcl_stack(
         "diff-corrected": partial(corrected, differential_alphas),
         "omni-corrected": partial(corrected, omni_alphas),
     },
-    omni_motion=dict.fromkeys(MODEL_TYPES, "omni-corrected"),
+    # Who runs "omni" keeps it: noise of its kind is tried instead.
+    omni_motion={kind: "omni-corrected" for kind in MODEL_TYPES if kind != "omni"},
 )

@@ -13,16 +13,15 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from beamfield.cli.demo import DEFAULTS
 from beamfield.io.read_map import read_map
-from other_robots import LASERS, File, outcome, ros1
+from other_robots import LASERS, PRODUCT, File, outcome, ros1
 from tables import print_table
 
 MAPS = ("berlin", "levine_lobby")
 LASERS_USED = ("360 deg, 3.5 m", "270 deg, 30 m")
 FILES = {
     "nav2, likelihood_field": File(),
-    "nav2, likelihood_field_prob": File(text=DEFAULTS),
+    "nav2, likelihood_field_prob": File(text=PRODUCT),
     "ROS 1 amcl, likelihood_field": ros1("likelihood_field"),
     "Beluga, likelihood_field": File("beluga"),
     "MRPT, LF_Thrun": File("mrpt", "[MetricMap_occupancyGrid_00_likelihoodOpts]\nlikelihoodMethod = 4\n"),

@@ -51,6 +51,8 @@ WORN = OdometryNoise(0.02, 0.02, 0.03, 0.02, 0.03)
 MAPS = {"right": None, "half moved": (0.5, 40), "most moved": (0.2, 100)}
 SMALL, BOX, WALLS, SMOOTH = 2.0, (0.3, 1.2), 0.03, 2.0
 DEPENDENCE = Dependence(np.radians(4.0), 1.0)
+# nav2's defaults with its other likelihood field.
+PRODUCT = DEFAULTS.replace("likelihood_field", "likelihood_field_prob")
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class File:
     """A user's parameter file: the program, and what stands in it."""
 
     stack: str = "nav2"
-    text: str = DEFAULTS.replace("_prob", "")
+    text: str = DEFAULTS
 
 
 def ros1(model: str) -> File:
@@ -146,12 +148,12 @@ OMNI = "    robot_model_type: nav2_amcl::OmniMotionModel\n"
 # What is otherwise than a drive of two minutes of `USUAL` with nav2's defaults.
 OTHERWISE: dict[str, dict[str, Any]] = {
     "nothing": {},
-    "nav2, likelihood_field_prob": {"file": File(text=DEFAULTS)},
-    "nav2, beam": {"file": File(text=DEFAULTS.replace("likelihood_field_prob", "beam"))},
+    "nav2, likelihood_field_prob": {"file": File(text=PRODUCT)},
+    "nav2, beam": {"file": File(text=DEFAULTS.replace("likelihood_field", "beam"))},
     "ROS 1 amcl": {"file": ros1("likelihood_field")},
     "ROS 1 amcl, beam": {"file": ros1("beam")},
     "Beluga": {"file": File("beluga")},
-    "Beluga, likelihood_field_prob": {"file": File("beluga", DEFAULTS)},
+    "Beluga, likelihood_field_prob": {"file": File("beluga", PRODUCT)},
     "MRPT": {"file": File("mrpt", "[MetricMap_occupancyGrid_00_likelihoodOpts]\nlikelihoodMethod = 4\n")},
     "map of 0.02 m": {"resolution": 0.02},
     "map of 0.1 m": {"resolution": 0.1},
@@ -165,8 +167,8 @@ OTHERWISE: dict[str, dict[str, Any]] = {
     "wheels three times as worn": {"laser": replace(USUAL, wheels=OdometryNoise(0.06, 0.06, 0.09, 0.06, 0.09))},
     "scans of 0.2 s, stamped at the first beam": {"laser": replace(USUAL, stamped_at=0.0)},
     "scans of 0.2 s, stamped midway": {"laser": replace(USUAL, stamped_at=0.5)},
-    "moves sideways": {"laser": replace(USUAL, sideways=True), "file": File(text=DEFAULTS)},
-    "moves sideways, OmniMotionModel": {"laser": replace(USUAL, sideways=True), "file": File(text=DEFAULTS + OMNI)},
+    "moves sideways": {"laser": replace(USUAL, sideways=True), "file": File(text=PRODUCT)},
+    "moves sideways, OmniMotionModel": {"laser": replace(USUAL, sideways=True), "file": File(text=PRODUCT + OMNI)},
     "wheels nearly perfect": {"laser": replace(USUAL, wheels=OdometryNoise(0.001, 0.0005, 0.001, 0.0005, 0.0005))},
 }
 

@@ -19,7 +19,7 @@ from beamfield.sensors import SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
-from other_robots import USUAL
+from other_robots import PRODUCT, USUAL
 from real_logs import LOGS, read_log_and_map
 from tables import print_table
 
@@ -27,9 +27,9 @@ SEEDS = range(20)
 COUNTS = (50, 100, 500, 2000)
 NOISE = "    alpha1: 0.1\n    alpha2: 0.1\n    alpha3: 0.02\n    alpha4: 0.02\n"
 FILES = {
-    "likelihood_field": DEFAULTS.replace("_prob", ""),
-    "likelihood_field_prob": DEFAULTS,
-    "likelihood_field_prob, alphas 0.1 and 0.02": DEFAULTS + NOISE,
+    "likelihood_field": DEFAULTS,
+    "likelihood_field_prob": PRODUCT,
+    "likelihood_field_prob, alphas 0.1 and 0.02": PRODUCT + NOISE,
 }
 
 

@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse, Rectangle, Wedge
+from matplotlib.patches import Ellipse, Wedge
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.cli import demo
@@ -41,10 +41,10 @@ from beamfield.stacks.files.parameter_file import read_stack_file
 HERE = Path(__file__).parent
 IN_BURSTS = [word for word in demo.SIMULATED if word != "--odometry-only"]
 BEFORE_AND_AFTER = {"before": HELD_OUT, "after": FIT}
-TITLES = {"before": "amcl, nav2's defaults", "after": "amcl, calibrated"}
-# Half the side of the part that is shown close, metres, and scans over which its place is sought.
-ZOOM, SMOOTHED = 0.75, 25
+TITLES = {"before": "amcl as nav2 ships it", "after": "amcl, calibrated"}
 CHI2_95 = 5.991
+# Of so many updates, the README's picture shows the particles of one.
+ELLIPSES = 15
 
 
 def main() -> None:
@@ -138,25 +138,13 @@ def draw_gallery() -> None:
 def readme_picture(folder: Path) -> Figure:
     """Draw what the demo finds: nav2's filter on the second drive before and after, and its error over time."""
     log, grid, replays = demo_replays(folder)
-    figure = new_figure(11, 5.2)
-    axes = figure.subplot_mosaic(
-        [["map", "before", "after"], ["error"] * 3], height_ratios=(1.4, 1), width_ratios=(1.7, 1, 1)
-    )
-    # Where the first run with nav2's defaults is off for longest.
-    off = error_of(log, replays["before"][0])
-    middle = log.poses[int(np.argmax(np.convolve(off, np.ones(SMOOTHED) / SMOOTHED, "same")))]
-    window = (middle[0] - ZOOM, middle[0] + ZOOM, middle[1] - ZOOM, middle[1] + ZOOM)
-    (x0, y0), (x1, y1) = grid.to_map([[0, 0], grid.shape[::-1]])
-    draw_map(axes["map"], grid, (x0, x1, y0, y1))
-    axes["map"].plot(*log.poses[:, :2].T, color=MODEL, lw=1.0)
-    axes["map"].add_patch(Rectangle((window[0], window[2]), 2 * ZOOM, 2 * ZOOM, fill=False, color=FIT, lw=1.5))
-    frame(axes["map"], (x0, x1, y0, y1), with_legend=False)
-    axes["map"].set_title("Drive after calibration", fontsize=10, loc="left", fontweight="bold")
+    figure = new_figure(11, 6.2)
+    axes = figure.subplot_mosaic([["before", "after"], ["error", "error"]], height_ratios=(1.6, 1))
     for name, color in BEFORE_AND_AFTER.items():
-        draw_way(axes[name], name, color, log, grid, replays[name][0], window)
+        draw_way(axes[name], name, color, log, grid, replays[name][0])
         draw_errors(axes["error"], name, color, log, replays[name])
     axes["error"].set_xlim(0.0, log.stamps[-1] - log.stamps[0])
-    axes["error"].set_ylim(0.0, None)
+    log_scale(axes["error"])
     style(axes["error"], x="time [s]", y="position error [m]")
     legend_above(axes["error"], ncols=2)
     return figure
@@ -168,7 +156,7 @@ def demo_replays(folder: Path) -> tuple[SensorLog, OccupancyGrid, dict[str, list
     log = attach_poses(log, read_trajectory(folder / "second_drive" / "truth.tum")).only_sensor()
     first, start = reference_start(log)
     log, maps = log[first:], (folder / "drive" / "map.yaml", folder / "calibration" / "amcl_map.yaml")
-    files = folder / demo.BEFORE, folder / "calibration" / demo.AFTER
+    files = folder / demo.BEFORE, folder / demo.AFTER
     replays = {}
     for name, path, seen in zip(BEFORE_AND_AFTER, files, maps, strict=True):
         one = read_filter_settings(read_stack_file(path, stack="nav2")).filter(read_map(seen))
@@ -180,18 +168,17 @@ def error_of(log: SensorLog, replay: Replay) -> np.ndarray:
     return np.hypot(*(replay.poses - log.poses)[:, :2].T)
 
 
-def draw_way(
-    axes: Axes, name: str, color: str, log: SensorLog, grid: OccupancyGrid, replay: Replay, window: tuple[float, ...]
-) -> None:
-    draw_map(axes, grid, window)
-    for mean, covariance in zip(replay.means, replay.covariances, strict=True):
+def draw_way(axes: Axes, name: str, color: str, log: SensorLog, grid: OccupancyGrid, replay: Replay) -> None:
+    (x0, y0), (x1, y1) = grid.to_map([[0, 0], grid.shape[::-1]])
+    draw_map(axes, grid, (x0, x1, y0, y1))
+    axes.plot(*log.poses[:, :2].T, color=MODEL, lw=2.0)
+    axes.plot(*replay.poses[:, :2].T, ".", color=color, ms=2.5)
+    for mean, covariance in zip(replay.means[::ELLIPSES], replay.covariances[::ELLIPSES], strict=True):
         values, vectors = np.linalg.eigh(covariance[:2, :2])
         angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
         across, along = 2.0 * np.sqrt(np.maximum(values, 0.0) * CHI2_95)
-        axes.add_patch(Ellipse(mean[:2], along, across, angle=angle, fc=color, ec="none", alpha=0.10))
-    axes.plot(*replay.poses[:, :2].T, ".-", color=color, lw=1.0, ms=3)
-    axes.plot(*log.poses[:, :2].T, color=MODEL, lw=1.2)
-    frame(axes, window, with_legend=False)
+        axes.add_patch(Ellipse(mean[:2], along, across, angle=angle, fc="none", ec=color, lw=0.8))
+    frame(axes, (x0, x1, y0, y1), with_legend=False)
     axes.set_title(TITLES[name], fontsize=10, loc="left", fontweight="bold", color=color)
 
 

@@ -59,7 +59,8 @@ def calibrated(monkeypatch: pytest.MonkeyPatch) -> None:
         assert (arguments.lone_poses, arguments.stack, arguments.odometry_noise) == ("odometry", "nav2", True)
         arguments.out.mkdir()
         (arguments.out / "calibration.json").write_text(json.dumps(FOUND))
-        (arguments.out / demo.AFTER).write_text(VALUES)
+        assert arguments.patch.read_text() == demo.DEFAULTS
+        arguments.patch.write_text(VALUES)
         return Outcome("")
 
     monkeypatch.setattr(calibrate, "run", write)
@@ -82,7 +83,9 @@ def test_the_chain_ends_with_truth_beside_fit_and_the_error_before_and_after(tmp
     before, after = (runs[name]["tracking"][0]["means"]["mean"] for name in (demo.BEFORE, demo.AFTER))
     (line,) = (line for line in printed.splitlines() if line.startswith("position error"))
     assert line.split()[3:5] == [f"{before:.3f}", f"{after:.3f}"]
+    assert line.split()[5] == f"{after - before:+.3f}"
     assert after < before
+    assert (out / demo.BEFORE).read_text() == demo.DEFAULTS
 
 
 @pytest.mark.usefixtures("calibrated")

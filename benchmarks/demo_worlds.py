@@ -59,7 +59,7 @@ WORLDS = {
 
 def main(folder: Path) -> None:
     """Run all worlds and print the table."""
-    files = folder / demo.BEFORE, folder / demo.AFTER
+    files = folder / demo.BEFORE, folder / "calibration" / demo.AFTER
     settings = [read_filter_settings(read_stack_file(path, stack="nav2")) for path in files]
     rows = []
     for name, world in WORLDS.items():

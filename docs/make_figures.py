@@ -156,7 +156,7 @@ def demo_replays(folder: Path) -> tuple[SensorLog, OccupancyGrid, dict[str, list
     log = attach_poses(log, read_trajectory(folder / "second_drive" / "truth.tum")).only_sensor()
     first, start = reference_start(log)
     log, maps = log[first:], (folder / "drive" / "map.yaml", folder / "calibration" / "amcl_map.yaml")
-    files = folder / demo.BEFORE, folder / demo.AFTER
+    files = folder / demo.BEFORE, folder / "calibration" / demo.AFTER
     replays = {}
     for name, path, seen in zip(BEFORE_AND_AFTER, files, maps, strict=True):
         one = read_filter_settings(read_stack_file(path, stack="nav2")).filter(read_map(seen))

@@ -59,8 +59,7 @@ def calibrated(monkeypatch: pytest.MonkeyPatch) -> None:
         assert (arguments.lone_poses, arguments.stack, arguments.odometry_noise) == ("odometry", "nav2", True)
         arguments.out.mkdir()
         (arguments.out / "calibration.json").write_text(json.dumps(FOUND))
-        assert arguments.patch.read_text() == demo.DEFAULTS
-        arguments.patch.write_text(VALUES)
+        (arguments.out / demo.AFTER).write_text(VALUES)
         return Outcome("")
 
     monkeypatch.setattr(calibrate, "run", write)

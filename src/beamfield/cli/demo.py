@@ -28,6 +28,8 @@ from beamfield.cli.terminal import say
 from beamfield.errors import TooLittleDataError
 from beamfield.stacks.files.calibration_record import MOVED_MAP
 
+# The better one of nav2's two likelihood fields; it ships with the other.
+MODEL = "likelihood_field_prob"
 # Neighbouring beams and scans err alike, as those of real robots do: readings that people and moved furniture cut short
 # come in bursts. Everything else is as `simulate` has it.
 SIMULATED = ("--odometry-only", "--scan-rate", "5", "--dependence-angle", "4", "--dependence-time", "1")
@@ -39,7 +41,7 @@ amcl:
 """
 # Runs of the filter before and after.
 SEEDS = 10
-BEFORE, AFTER = "nav2_defaults.yaml", "nav2_params.yaml"
+BEFORE, AFTER = "nav2_defaults.yaml", "nav2.yaml"
 SHOWN = {"mean": "position error [m]", "p95": "95% of position errors [m]", "yaw_mean_deg": "heading error [deg]"}
 
 
@@ -62,14 +64,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
     _run(arguments, simulate, [
         "simulate", "--out", drive, "--seed", arguments.seed, "--duration", f"{arguments.duration:g}", *SIMULATED,
     ])  # fmt: skip
-    _say(arguments, "2. From log and map, the poses are fitted, and laser, odometry and nav2's amcl are calibrated. A "
-         "file with nav2's defaults gets the new values.")  # fmt: skip
-    for name in (BEFORE, AFTER):
-        write_file(out / name, DEFAULTS.encode())
-    (out / f"{AFTER}.bak").unlink(missing_ok=True)  # of an earlier demo
+    _say(arguments, "2. From log and map, the poses are fitted, and laser, odometry and nav2's amcl are calibrated.")
     calibrated = _run(arguments, calibrate, [
         "calibrate", drive / simulate.CARMEN, "--lone-poses", "odometry", "--map", drive / simulate.MAP,
-        "--odometry-noise", "--stack", "nav2", "--patch", out / AFTER, "--out", result,
+        "--odometry-noise", "--stack", "nav2", "--model", MODEL, "--out", result,
     ])  # fmt: skip
     found = json.loads((result / "calibration.json").read_text(encoding="utf-8"))
     if "missing" in found["stack"]:
@@ -81,10 +79,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
     ])  # fmt: skip
     _say(arguments, f"4. nav2's filter runs on it, emulated, {SEEDS} times as nav2 ships it and {SEEDS} times with the "
          "new values. Its errors are those against the simulator's exact poses.")  # fmt: skip
+    write_file(out / BEFORE, DEFAULTS.encode())
     is_moved = (found["stack"].get("replay") or {}).get("chosen", {}).get("origin_shift", 0.0) > 0.0
     compared = _run(arguments, evaluate, [
         "evaluate", other / simulate.CARMEN, "--lone-poses", "odometry", "--poses", other / simulate.POSES,
-        "--map", drive / simulate.MAP, "--params", out / BEFORE, out / AFTER,
+        "--map", drive / simulate.MAP, "--params", out / BEFORE, result / AFTER,
         "--filter-maps", drive / simulate.MAP, result / MOVED_MAP if is_moved else drive / simulate.MAP,
         "--seeds", SEEDS, "--out", out / "evaluation",
     ])  # fmt: skip

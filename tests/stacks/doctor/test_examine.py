@@ -683,6 +683,19 @@ def test_calibrated_values_are_not_advised_to_be_calibrated(tmp_path):
         assert "calibrated" not in edited
 
 
+def test_what_a_map_for_amcl_alone_undoes_is_no_problem_of_the_file_that_was_chosen_for_it(tmp_path):
+    chosen = amcl(tmp_path, text=RECORDED.rstrip() + "; chosen for the map amcl_map.yaml\n")
+    found = {item.name: item for item in examine(chosen, grid=painted_black())}
+    assert "half-cell-shift" not in found
+    assert found["map-painted-black"].severity == "info"
+    assert "nothing where amcl takes amcl_map.yaml" in found["map-painted-black"].do
+    # What beamfield noted last counts.
+    again = amcl(tmp_path, text=f"{RECORDED}# chosen for the map amcl_map.yaml\n# chosen for the map as it is\n")
+    found = {item.name: item for item in examine(again, grid=painted_black())}
+    assert found["map-painted-black"].severity == "warning"
+    assert "half-cell-shift" in found
+
+
 def test_a_scan_that_says_nothing_at_all_is_a_warning(tmp_path):
     severities = {
         sigma: next(item.severity for item in examine(amcl(tmp_path, sigma_hit=sigma)) if item.name == "nearly-flat")

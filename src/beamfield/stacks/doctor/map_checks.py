@@ -13,6 +13,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.solids import WALL_OF_FILL, has_fill, hollowed
 from beamfield.stacks.doctor.subject import Subject
 from beamfield.stacks.emulation.stack_map import read_as_stack
+from beamfield.stacks.files.calibration_record import MOVED_MAP
 
 YAW_TOLERANCE = 1e-9
 # More than this share of the cells changes hands, or of the free cells' neighbours is unknown.
@@ -48,7 +49,7 @@ def ignored_yaw(subject: Subject) -> Iterator[Finding]:
 
 def half_cell(subject: Subject) -> Iterator[Finding]:
     """Report how far the stack shifts the cells of the map."""
-    if subject.grid is None or not subject.stack.half_cell_low:
+    if subject.grid is None or not subject.stack.half_cell_low or subject.has_own_map:
         return
     shift = subject.grid.resolution / 2.0
     sigma = subject.value("sigma_hit")
@@ -58,8 +59,8 @@ def half_cell(subject: Subject) -> Iterator[Finding]:
         f"{subject.file.stack} centres cell (0, 0) on the map's origin: it sees every wall {shift:g} m too low in x "
         "and y",
         "poses come out shifted with the walls; other programs on the robot (costmaps, planners) do not shift them",
-        "nothing if this is the amcl_map.yaml of beamfield calibrate --stack; else use a finer map, or give amcl alone "
-        f"a copy of the map's file with {shift:g} m added to x and y of its origin",
+        "let beamfield calibrate --stack choose values and a map for amcl alone, use a finer map, or give amcl a copy "
+        f"of the map's file with {shift:g} m added to x and y of its origin",
         values=numbers,
     )  # fmt: skip
 
@@ -70,13 +71,18 @@ def painted_black(subject: Subject) -> Iterator[Finding]:
         return
     solid = subject.grid.occupied & ~hollowed(subject.grid).occupied
     share = float(solid.mean())
+    do = (
+        "give amcl a map that is grey there, which means unknown: beamfield calibrate --stack writes one, and chooses "
+        "values for it"
+    )
+    if subject.has_own_map:
+        do = f"nothing where amcl takes {MOVED_MAP}: the file says that its values were chosen for that map"
     yield subject.finding(
-        "map-painted-black", "warning",
+        "map-painted-black", "info" if subject.has_own_map else "warning",
         f"{share:.0%} of the map's cells are black, but no wall: they lie more than {WALL_OF_FILL:g} m behind walls",
         "the field is as high there as on a wall: readings that end in the black cost nothing, so that poses fit which "
         "are pushed into it, and the robot gets lost",
-        "give amcl a map that is grey there, which means unknown: beamfield calibrate --stack writes one, and chooses "
-        "values for it",
+        do,
         values={"share": share},
     )  # fmt: skip
 

@@ -10,6 +10,7 @@ from typing import Any
 from beamfield.finding import Finding, Severity
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
+from beamfield.stacks.files.calibration_record import goes_with_moved_map
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import TypedValues
 from beamfield.stacks.stack import Model, Stack
@@ -76,6 +77,11 @@ class Subject:
     def parameters(self) -> Any:
         """The stack's parameters."""
         return self.typed.parameters
+
+    @property
+    def has_own_map(self) -> bool:
+        """Whether the file says that its values go with a map for the program alone, which undoes what it misreads."""
+        return goes_with_moved_map(self.file.section.text)
 
     def name_of(self, parameter: str) -> str:
         """Return what the file calls a parameter, given nav2's name."""

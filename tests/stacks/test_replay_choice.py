@@ -22,7 +22,7 @@ from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.localization.replay_trials import run_trials
 from beamfield.models.differential_motion import DifferentialMotion
 from beamfield.models.omni_motion import OmniMotion
-from beamfield.report.replay_choice import replay_as_dict, replay_markup, replay_tables, replay_verdict
+from beamfield.report.replay_choice import despite_error, replay_as_dict, replay_markup, replay_tables, replay_verdict
 from beamfield.report.stack_findings import other_motion, small_z_hit
 from beamfield.report.stack_result import StackResult
 from beamfield.sensors import RangeFinder, SensorLog
@@ -433,6 +433,13 @@ def test_the_table_says_how_often_the_truth_is_inside_without_each_part(repaired
     rows = {line.partition("  ")[0]: line for line in replay_tables(choice).splitlines()}
     assert rows["noise as before"].endswith(" 50%")
     assert rows["origin as before"].endswith(" 25%")
+    # What does not lower the error is told to pay by that; what does needs no other reason.
+    unsure = replace(repaired.error, before=0.1, after=0.12, low=-0.01, high=0.05)
+    worse = replace(choice, parts={"motion": unsure})
+    assert despite_error(worse, "motion").endswith("% of the updates, not in 50%")
+    as_often = replace(worse, trials_without={"motion": repaired.trials_finalist})
+    assert despite_error(as_often, "motion") == ", which may be chance"
+    assert despite_error(choice, "motion") == despite_error(worse, "origin") == ""
 
 
 @pytest.mark.parametrize(("inside_after", "is_better"), [(0.8, False), (0.95, True)])

@@ -67,6 +67,17 @@ def replay_verdict(choice: ReplayChoice) -> str:
     )
 
 
+def despite_error(choice: ReplayChoice, part: str) -> str:
+    """Return a clause on why a part of the finalist is right that does not lower the error; "" where it does."""
+    error = choice.parts.get(part)
+    if error is None or error.after < error.before:
+        return ""
+    without, inside = _inside(choice.trials_without[part]), _inside(choice.trials_finalist)
+    if inside > without:
+        return f", but the truth was in the particles' 95% ellipse in {inside:.0%} of the updates, not in {without:.0%}"
+    return "" if error.is_higher else ", which may be chance"
+
+
 def describe(setting: ReplaySetting) -> str:
     """Return where the values of a setting come from."""
     if setting.sensor == setting.motion == setting.recovery == BEFORE and not setting.changes_map:

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from beamfield.finding import Finding
-from beamfield.localization.replay_comparison import ReplayComparison
+from beamfield.report.replay_choice import despite_error
 from beamfield.report.stack_result import StackResult
 from beamfield.stacks.fit.fit import StackFit
+from beamfield.stacks.fit.replay_choice import ReplayChoice
 from beamfield.stacks.fit.replay_runs import HOLLOW
 from beamfield.stacks.registry import STACKS, model_named
 
@@ -79,7 +80,7 @@ def _about_model(result: StackResult) -> Iterator[Finding]:
             "stack-other-model",
             "info",
             f"The filter does better with {model} than with {before}, which it ran before: its position error was "
-            f"{sensor.after:.3f} m, not {sensor.before:.3f} m.",
+            f"{sensor.after:.3f} m, not {sensor.before:.3f} m{despite_error(result.replay, 'sensor')}.",
             why=f"{before} computes {model_named(result.chosen.model.stack, before).weight.text}, {model} "
             f"{model_named(result.chosen.model.stack, model).weight.text}: one scan then says more.",
             do=f"If your robot has to find itself from anywhere, try that, too: {before} forgives more there, and "
@@ -98,7 +99,7 @@ def other_motion(result: StackResult) -> Iterator[Finding]:
             "info",
             f"The filter does better with {key} = {result.motion[key]} than with {before}, which it ran before, also "
             f"if the robot cannot move sideways: its position error was {motion.after:.3f} m, with the motion noise as "
-            f"before {motion.before:.3f} m.",
+            f"before {motion.before:.3f} m{despite_error(result.replay, 'motion')}.",
             why="Where walls are drawn a little off, the pose that fits lies beside the odometry's. Particles get "
             "there by noise across the way driven, of which this model has its own (alpha5); the other has to turn.",
             do="Leave it: the robot's controller and its odometry stay as they are. --odometry-noise keeps the model.",
@@ -108,16 +109,17 @@ def other_motion(result: StackResult) -> Iterator[Finding]:
 def _about_map(result: StackResult) -> Iterator[Finding]:
     if result.replay is None or not result.replay.chosen.changes_map:
         return
-    setting, parts, stack = result.replay.chosen, result.replay.parts, result.chosen.model.stack
+    replay, stack = result.replay, result.chosen.model.stack
+    setting = replay.chosen
     what, why = [], []
     if setting.solids == HOLLOW:
         what.append("unknown where it is painted black far from what is free")
         why.append(f"{stack}'s field is as high inside of solids as on a wall: poses fit whose readings end there."
-                   + _error_without(parts.get("solids"), "black inside"))  # fmt: skip
+                   + _error_without(replay, "solids", "black inside"))  # fmt: skip
     if setting.shift:
         what.append(f"with its origin moved by {setting.shift:g} m")
-        why.append(f"{stack} reads maps half a cell off." + _error_without(parts.get("origin"), "at its own origin"))
-    if not parts.keys() & {"solids", "origin"}:
+        why.append(f"{stack} reads maps half a cell off." + _error_without(replay, "origin", "at its own origin"))
+    if not replay.parts.keys() & {"solids", "origin"}:
         why.append("The file says that its values were chosen for it: all were replayed with it (--keep-map: yours).")
     yield Finding(
         "stack-map",
@@ -129,11 +131,12 @@ def _about_map(result: StackResult) -> Iterator[Finding]:
     )
 
 
-def _error_without(part: ReplayComparison | None, how: str) -> str:
-    if part is None:
+def _error_without(replay: ReplayChoice, part: str, how: str) -> str:
+    if (error := replay.parts.get(part)) is None:
         return ""
     return (
-        f" In the replay the position error was {part.before:.3f} m with the map {how}, {part.after:.3f} m with this."
+        f" In the replay the position error was {error.before:.3f} m with the map {how}, {error.after:.3f} m with this"
+        f"{despite_error(replay, part)}."
     )
 
 
@@ -146,7 +149,8 @@ def _about_recovery(result: StackResult) -> Iterator[Finding]:
             f"No poses are drawn at random any more: {', '.join(f'{name} = 0' for name in values)}.",
             values,
             why="They can replace particles that are right, above all where the map is a little wrong. In the replay "
-            f"the position error was {recovery.before:.3f} m with them, {recovery.after:.3f} m without.",
+            f"the position error was {recovery.before:.3f} m with them, {recovery.after:.3f} m without"
+            f"{despite_error(result.replay, 'recovery')}.",
             do="A robot that is carried elsewhere then needs an initial pose: beamfield localize --global looks "
             "for it. Where your robot is carried often and never lost otherwise, keep your rates.",
         )

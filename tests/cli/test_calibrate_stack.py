@@ -239,6 +239,17 @@ def test_a_file_that_was_patched_before_gets_no_second_backup_of_the_same(tmp_pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml", "mine.yaml.bak"]
 
 
+def test_what_was_noted_in_a_file_whose_values_stay_is_said(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    of_map = "chosen for the map amcl_map.yaml"
+    of_values = f"calibrated by beamfield 1; checksum {'0' * 16} of the values"
+    for record, said in ((of_map, "for which map its values are"), (of_values, "that its values were checked")):
+        mine.write_text(MINE)
+        part = StackPart("stack", "", {}, PageSection("stack", "", ""), {}, values={}, record=record)
+        line, _ = write_patch(read_stack_file(mine, stack="nav2"), part)
+        assert line.startswith(f"noted {said} in {mine}; ")
+
+
 def asked_to_patch(path: Path, text: str, stack: str = "nav2", topic: str | None = None):
     path.write_text(text)
     given = SimpleNamespace(map="map.yaml", map_topic=topic, patch="mine.yaml", out=Path("out"), section=None)

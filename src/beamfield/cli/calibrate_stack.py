@@ -17,7 +17,7 @@ from beamfield.cli.calibrate_replay import filter_map_files, replay_fit, takes_h
 from beamfield.cli.report_part import StackPart
 from beamfield.cli.terminal import complain, line_width
 from beamfield.errors import InvalidInputError, TooLittleDataError
-from beamfield.stacks.files.calibration_record import MOVED_MAP, goes_with_moved_map, is_noted
+from beamfield.stacks.files.calibration_record import MOVED_MAP, goes_with_moved_map, is_noted, notes_values
 
 if TYPE_CHECKING:
     from beamfield.calibration.calibrate import Calibration
@@ -269,9 +269,10 @@ def write_patch(file: StackFile, fitted: StackPart) -> tuple[str, Path | None]:
     if not values and is_noted(fitted.record, file.section.text):
         return left, None
     backup = write_values(file.section, values, record=fitted.record)
-    changed = f"changed {', '.join(values)} in" if values else "noted that its values were checked in"
+    noted = "that its values were checked" if notes_values(fitted.record) else "for which map its values are"
+    changed = f"changed {', '.join(values)}" if values else f"noted {noted}"
     said = [
-        f"{changed} {file.section.path}",
+        f"{changed} in {file.section.path}",
         file.section.arguments_replaced_by(values),
         f"the old file is {backup.name}",
     ]

@@ -32,6 +32,11 @@ def is_as_calibrated(text: str, stack: str, model: str, parameters: Any, motion:
     return values_checksum(stack, model, parameters, motion) in _RECORD.findall(text)
 
 
+def notes_values(record: str) -> bool:
+    """Whether a record is of values, not only of a map."""
+    return _RECORD.search(record) is not None
+
+
 def is_noted(record: str, text: str) -> bool:
     """Whether the text of a file says already what a record would: of these values, and chosen for this map."""
     same_values = set(_RECORD.findall(record)) <= set(_RECORD.findall(text))

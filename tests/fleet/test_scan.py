@@ -29,7 +29,7 @@ from beamfield.geometry import compose
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.sensors import SensorLog
-from tests.fleet.small_fleet import NOON, part_of, write_log
+from tests.fleet.small_fleet import NOON, contents, part_of, write_log
 
 
 @pytest.fixture
@@ -46,10 +46,6 @@ def scan(manifest: Path, catalogue: Path) -> FleetScan:
 
 def again(own: Path) -> FleetScan:
     return scan(own / "fleet.csv", own / "catalogue")
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_the_rows_are_those_of_a_beam_table(scanned: FleetScan, world: Path):

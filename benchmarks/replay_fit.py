@@ -33,7 +33,8 @@ from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.stack import FIELD_PRODUCT
 from half_maps import LOGS, HalfMaps, HalfMapSettings, half_maps
-from stack_fit import REFERENCE_ERROR, SETS, _read
+from real_logs import read_log_and_map
+from stack_fit import REFERENCE_ERROR, SETS
 from tables import print_table
 
 
@@ -62,7 +63,7 @@ def read_place(folder: Path, name: str) -> Place:
         half = len(maps.log) // 2
         others = {f"{name}, second half": maps.log[half:]}
         return Place(name, maps.log[:half], *maps.to_fit, others, 0.04, maps)
-    logs = {title: _read(folder, *paths) for title, *paths in SETS[name]}
+    logs = {title: read_log_and_map(folder, *paths) for title, *paths in SETS[name]}
     log, grid = next(iter(logs.values()))
     others = {title: log for title, (log, _) in logs.items()}
     return Place(name, log, log, grid, others, REFERENCE_ERROR.get(name, 0.04))

@@ -21,9 +21,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import ks_2samp, mannwhitneyu
 
-from beamfield.io.read_log import read_log
-from beamfield.io.read_map import read_map
-from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
@@ -32,8 +29,10 @@ from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.registry import build_filter, build_model, parameter_class
 
 if __package__:
+    from benchmarks.real_logs import read_log_and_map
     from benchmarks.tables import print_table
 else:
+    from real_logs import read_log_and_map
     from tables import print_table
 
 WEAN = "wean_hall/derived_wean.yaml"
@@ -63,11 +62,8 @@ def read_oracle(folder: Path) -> list[dict[str, Any]]:
 
 def read_inputs(folder: Path, name: str) -> tuple[OccupancyGrid, SensorLog]:
     """Return the map and the log of this name."""
-    log_file, map_file, poses = LOGS[name]
-    log = read_log(folder / "data" / log_file)
-    if poses is not None:
-        log = attach_poses(log, read_trajectory(folder / "data" / poses))
-    return read_map(folder / "data" / map_file), log.only_sensor()
+    log, grid = read_log_and_map(folder / "data", *LOGS[name])
+    return grid, log
 
 
 def emulate(run: dict[str, Any], grid: OccupancyGrid, log: SensorLog, seeds: range) -> ReplayTrials:

@@ -23,9 +23,6 @@ import numpy as np
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 from beamfield.geometry import between, compose
-from beamfield.io.read_log import read_log
-from beamfield.io.read_map import read_map
-from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
@@ -33,6 +30,7 @@ from beamfield.stacks.fit.fit import fit_stack
 from beamfield.stacks.fit.particle_update import update_particles
 from beamfield.stacks.fit.window_evidence import gather_evidence, score_windows
 from beamfield.stacks.registry import STACKS, build_model, parameter_class
+from real_logs import read_log_and_map
 
 WEAN = "wean_hall/derived_wean.yaml"
 # Fitted to the first; where there are no others, every third block of time is held out.
@@ -53,7 +51,7 @@ ALPHA = 0.2
 
 def rows(folder: Path, name: str, stacks: Iterable[str]) -> list[dict[str, Any]]:
     """Return one row per stack, model, parameters and log."""
-    logs = [(title, *_read(folder, *paths)) for title, *paths in SETS[name]]
+    logs = [(title, *read_log_and_map(folder, *paths)) for title, *paths in SETS[name]]
     error = REFERENCE_ERROR.get(name, 0.04)
     options = WindowOptions(reference_error=error)
     _, log, grid = logs[0]
@@ -144,13 +142,6 @@ def _move(poses: np.ndarray, step: np.ndarray, rng: np.random.Generator) -> np.n
     a, b, c = rng.normal([[first], [forward], [second]], noise[:, None], (3, n))
     heading = poses[:, 2] + a
     return np.column_stack([poses[:, 0] + b * np.cos(heading), poses[:, 1] + b * np.sin(heading), heading + c])
-
-
-def _read(folder: Path, log: str, grid: str, poses: str | None) -> tuple[SensorLog, OccupancyGrid]:
-    read = read_log(folder / log)
-    if poses is not None:
-        read = attach_poses(read, read_trajectory(folder / poses))
-    return read.only_sensor(), read_map(folder / grid)
 
 
 def main() -> None:

@@ -8,13 +8,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from beamfield.errors import MissingDependencyError
+from beamfield.errors import needs
 
 
 def data_frame(columns: Mapping[str, NDArray[Any]]) -> Any:
     """Return columns of one length as a DataFrame; MissingDependencyError if pandas is not installed."""
-    try:
+    with needs("pandas", None, "to_dataframe"):
         pandas = import_module("pandas")
-    except ImportError as error:
-        raise MissingDependencyError("pandas", None, "to_dataframe") from error
     return pandas.DataFrame(dict(columns))

@@ -86,6 +86,15 @@ class MissingDependencyError(BeamfieldError, ImportError):
 
 
 @contextmanager
+def needs(package: str, extra: str | None, purpose: str) -> Iterator[None]:
+    """Say what is missing where an import fails; parameters as of `MissingDependencyError`."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingDependencyError(package, extra, purpose) from error
+
+
+@contextmanager
 def about_file(path: str | Path) -> Iterator[None]:
     """Name a file in the errors about what it holds: options are to be checked before."""
     try:

@@ -35,3 +35,7 @@ def write_small_fleet(folder: Path, drive: SensorLog, office: OccupancyGrid) -> 
         lines.append(f"run{i}.log,office.yaml,{robot},hall")
     (folder / "fleet.csv").write_text("\n".join(lines) + "\n")
     return folder / "fleet.csv"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -23,6 +23,7 @@ from beamfield.fleet.scan import FleetScan, scan_fleet
 from beamfield.fleet.shard import Shard
 from beamfield.kernels.threads import n_threads, set_threads
 from beamfield.models.beam_parameters import BeamParameters
+from tests.fleet.small_fleet import contents
 
 
 def draw(seed: int) -> np.ndarray:
@@ -126,10 +127,6 @@ def test_only_what_kills_workers_alone_is_lost():
     assert engine.map(abs, [-1, -2, 3, -4, 3], lost=lost) == [1, 2, -3, 4, -3]
     with pytest.raises(WorkersLostError, match="too little memory"):
         engine.map(abs, [1, 3])
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_what_is_no_scheduler_is_said_at_once():

@@ -29,7 +29,8 @@ from beamfield.geometry import compose
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.sensors import SensorLog
-from tests.fleet.small_fleet import NOON, part_of, write_log
+from tests.fleet.small_fleet import NOON, contents, part_of, write_log
+from tests.io.test_atomic import KILLED
 
 
 @pytest.fixture
@@ -46,10 +47,6 @@ def scan(manifest: Path, catalogue: Path) -> FleetScan:
 
 def again(own: Path) -> FleetScan:
     return scan(own / "fleet.csv", own / "catalogue")
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_the_rows_are_those_of_a_beam_table(scanned: FleetScan, world: Path):
@@ -196,16 +193,9 @@ def test_an_interrupted_scan_goes_on_and_gives_the_same_bytes(own: Path, tmp_pat
 @pytest.mark.skipif(sys.platform == "win32", reason="kills are POSIX's")
 def test_what_killed_workers_leave_beside_files_that_are_not_written_again_is_removed(own: Path):
     before = contents(own / "catalogue")
-    killed = (
-        "import os, signal, sys\n"
-        "from beamfield.io.files.atomic import atomic_file\n"
-        "with atomic_file(sys.argv[1]) as part:\n"
-        "    part.write_text('half')\n"
-        "    os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
     for name in before:
         if name.startswith(("maps/", "runs/")):
-            subprocess.run([sys.executable, "-c", killed, str(own / "catalogue" / name)], check=False)
+            subprocess.run([sys.executable, "-c", KILLED, str(own / "catalogue" / name)], check=False)
     assert len(contents(own / "catalogue")) > len(before)
     assert again(own).scanned == ()
     assert contents(own / "catalogue") == before

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import struct
 import zlib
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from beamfield.io.bags.fiducial_detections import (
     read_fiducials,
 )
 from tests.io.mini_bag import MiniBag, types_of
+from tests.io.test_map_image import png_with_header
 
 DEFINITIONS = {
     "fiducial_msgs/msg/Fiducial": "int32 fiducial_id\nint32 direction\n"
@@ -233,23 +233,14 @@ def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
         list(read_camera_images(CameraBag().image(1.0, bytes(small)).write(tmp_path)))
 
 
-def png(width: int, height: int, rows: bytes) -> bytes:
-    """Return a PNG in grey of any rows."""
-
-    def chunk(name: bytes, body: bytes) -> bytes:
-        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-
-    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    parts = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + parts
-
-
 def test_a_png_with_missing_rows_is_refused_before_room_is_made_for_it(tmp_path, monkeypatch):
-    ((_, whole),) = read_camera_images(CameraBag().image(1.0, png(3, 2, b"\0abc\0def")).write(tmp_path, "whole"))
+    ((_, whole),) = read_camera_images(
+        CameraBag().image(1.0, png_with_header(3, 2, 8, 0, b"\0abc\0def")).write(tmp_path, "whole")
+    )
     assert whole.tolist() == [[97, 98, 99], [100, 101, 102]]
     monkeypatch.setattr(PngImageFile, "load", lambda *_: pytest.fail("room was made"))
     for number, (width, height) in enumerate([(3, 3), (8000, 8000)]):
-        bag = CameraBag().image(1.0, png(width, height, b"\0abc\0def"))
+        bag = CameraBag().image(1.0, png_with_header(width, height, 8, 0, b"\0abc\0def"))
         with pytest.raises(FormatError, match=f"message 1: .*truncated, {width} x {height} pixels take"):
             list(read_camera_images(bag.write(tmp_path, str(number))))
 

@@ -11,12 +11,7 @@ from beamfield.io.logs.g2o import read_g2o
 from beamfield.io.logs.gfs import read_gfs
 from beamfield.io.logs.sonar_log import read_sonar_log
 from beamfield.io.logs.text_scans import TextOptions
-
-
-def write(tmp_path, *lines, name="run.txt"):
-    path = tmp_path / name
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
-    return path
+from tests.io.test_carmen import write
 
 
 def laser_reading(i, n=180):

@@ -9,6 +9,7 @@ import pytest
 
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import between
+from beamfield.io.read_map import read_map
 from beamfield.localization.particle_filter import FilterOptions
 from beamfield.localization.recovery import Recovery
 from beamfield.localization.replay import PoseBelief, judge_replay, reference_start
@@ -19,6 +20,7 @@ from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.gaussian_motion import USUAL_MOTION, GaussianMotion
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import SensorLog
+from tests.real.posed_logs import wean_log
 
 
 @pytest.fixture(scope="module")
@@ -173,14 +175,7 @@ def test_a_robot_that_is_found_late_is_told_from_one_that_is_not_found(localizer
 
 @pytest.mark.real
 def test_wean_hall_is_followed_and_found_from_anywhere_though_a_wrong_place_fits_better_for_a_minute(data):
-    import beamfield as bf
-    from beamfield.io.trajectory import attach_poses, read_trajectory
-
-    folder = data / "wean_hall"
-    grid = bf.read_map(folder / "derived_wean.yaml")
-    log = attach_poses(
-        bf.read_log(folder / "robotdata5.log.gz"), read_trajectory(folder / "reference_robotdata5.csv.gz")
-    ).only_sensor()
+    grid, log = read_map(data / "wean_hall/derived_wean.yaml"), wean_log(data, 5)
     log = log[reference_start(log)[0] :]
     # As learned on log 1.
     model = LikelihoodFieldModel(grid, LikelihoodFieldParameters(0.87, 0.12, 0.066), n_beams=60, exponent=0.072)

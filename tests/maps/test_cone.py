@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -11,16 +13,11 @@ from beamfield.maps.cone import ConeCaster, make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
+from tests.maps import test_raycast
+from tests.maps.test_raycast import EAST, NORTH, SOUTH, WEST
 from tests.reference.cone_oracles import clip_cells, fan_out
 
-EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
-
-
-def draw(*lines, resolution=1.0, origin=(0.0, 0.0, 0.0), **options):
-    """Build a caster from a drawing, the top line last row: # occupied, . free, ? unknown."""
-    values = {"#": 1.0, ".": 0.0, "?": np.nan}
-    cells = np.array([[values[c] for c in line] for line in reversed(lines)])
-    return ConeCaster(OccupancyGrid(cells, resolution, origin), **options)
+draw = partial(test_raycast.draw, caster=ConeCaster)
 
 
 def deg(angle):

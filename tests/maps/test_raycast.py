@@ -19,11 +19,11 @@ EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
 NORTH_EAST, SOUTH_WEST = np.pi / 4, -3 * np.pi / 4
 
 
-def draw(*lines, resolution=1.0, origin=(0.0, 0.0, 0.0), **options):
+def draw(*lines, resolution=1.0, origin=(0.0, 0.0, 0.0), caster=RayCaster, **options):
     """Build a caster from a drawing, the top line last row: # occupied, . free, ? unknown."""
     values = {"#": 1.0, ".": 0.0, "?": np.nan}
     cells = np.array([[values[c] for c in line] for line in reversed(lines)])
-    return RayCaster(OccupancyGrid(cells, resolution, origin), **options)
+    return caster(OccupancyGrid(cells, resolution, origin), **options)
 
 
 def test_the_range_ends_where_the_ray_enters_the_first_occupied_cell():

@@ -259,7 +259,7 @@ def test_many_ranges_of_no_return_do_not_pile_up_tables(room, rng):
             got = model.log_likelihood(Scan(ranges, sensor), poses)
             fresh = model_of(room).log_likelihood(Scan(ranges, sensor), poses)
             assert (got == fresh).all()
-    assert len(model._look_ups.tables) <= 4
+    assert len(model._look_ups.tables._tables) <= 4
 
 
 @pytest.mark.parametrize("n_beams", [7, None])
@@ -307,7 +307,7 @@ def test_threads_that_need_a_table_at_once_share_it(room, rng):
     with ThreadPoolExecutor(8) as pool:
         for result in pool.map(lambda _: model.log_likelihood(scan, poses), range(32)):
             assert (result == expected).all()
-    assert len(model._look_ups.tables) == 1
+    assert len(model._look_ups.tables._tables) == 1
 
 
 def test_memory_of_a_table_is_as_stated(room, rng):

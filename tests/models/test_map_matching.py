@@ -15,6 +15,7 @@ from beamfield.models.cell_difference import CellDifferenceModel
 from beamfield.models.histogram_matching import HistogramMatchingModel
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan, SensorLog
+from tests.localization.test_global_search import draw_room
 from tests.reference.map_matching_slow import correlation, pairs_by_local_cells, pairs_by_map_cells
 
 FINDER = RangeFinder.from_bearings(np.linspace(-2.2, 2.2, 121), max_range=8.0, mount=(0.1, 0.0, 0.0))
@@ -22,11 +23,7 @@ FINDER = RangeFinder.from_bearings(np.linspace(-2.2, 2.2, 121), max_range=8.0, m
 
 @pytest.fixture
 def room() -> OccupancyGrid:
-    values = np.zeros((60, 90))
-    values[[0, -1]], values[:, [0, -1]], values[25, :40], values[25:45, 60] = 100, 100, 100, 100
-    values[5:9, 70:74] = 100
-    values[50:58, 2:20] = -1
-    return OccupancyGrid.from_ros(values, 0.1, (-1.0, 2.0, 0.4))
+    return draw_room((-1.0, 2.0, 0.4))
 
 
 def random_map(rng, shape, resolution, origin) -> OccupancyGrid:

@@ -12,16 +12,11 @@ from beamfield.calibration.calibrate import Calibration, CalibrationOptions, cal
 from beamfield.calibration.cross_fit import build_cross_fit_maps
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.sensors import SensorLog
+from tests.real.posed_logs import posed_log, turtlebot_log, wean_log
 
 pytestmark = pytest.mark.real
 OPTIONS = CalibrationOptions()
-
-
-def sensor_log(folder: Path, log: str, poses: str | None = None) -> SensorLog:
-    read = read_log(folder / log)
-    return (read if poses is None else attach_poses(read, read_trajectory(folder / poses))).only_sensor()
 
 
 def names(result: Calibration) -> set[str]:
@@ -34,12 +29,12 @@ def beats_the_defaults(result: Calibration) -> bool:
 
 @pytest.fixture(scope="module")
 def wean(data: Path) -> SensorLog:
-    return sensor_log(data, "wean_hall/robotdata1.log.gz", "wean_hall/reference_robotdata1.csv.gz")
+    return wean_log(data, 1)
 
 
 @pytest.fixture(scope="module")
 def pioneer(data: Path) -> SensorLog:
-    return sensor_log(data, "uob_stage_sim/simpath2.bag")
+    return read_log(data / "uob_stage_sim/simpath2.bag").only_sensor()
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +54,7 @@ def test_wean_hall_has_walls_that_are_too_thick(wean_result: Calibration):
 
 def test_text_and_mcap_of_one_run_give_the_same_numbers(data: Path, wean_result: Calibration):
     text, grid = wean_result, read_map(data / "wean_hall/derived_wean.yaml")
-    bag = sensor_log(data, "derived_wean_mcap/bag", "wean_hall/reference_robotdata1.csv.gz")
+    bag = posed_log(data, "derived_wean_mcap/bag", "wean_hall/reference_robotdata1.csv.gz")
     mcap = calibrate(bag, grid, replace(OPTIONS, refine=False))
     assert len(text.table) == len(mcap.table)
     for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "range_offset", "sigma_slope"):
@@ -68,7 +63,7 @@ def test_text_and_mcap_of_one_run_give_the_same_numbers(data: Path, wean_result:
 
 
 def test_the_turtlebot_is_calibrated_better_than_the_defaults(data: Path):
-    log = sensor_log(data, "olin_mac_tb4/macfirst_floor_take_2", "olin_mac_tb4/derived_ref_take_2.csv.gz")
+    log = turtlebot_log(data)
     result = calibrate(log, read_map(data / "olin_mac_tb4/map/mac_1st_floor_final.yaml"), OPTIONS)
     assert beats_the_defaults(result)
     # A lidar with 1% accuracy against its own map: hits a few cells of 3 cm behind the cell's edge, not decimetres.
@@ -95,7 +90,7 @@ def test_the_wrong_map_file_of_the_pioneer_is_found_out(data: Path, pioneer: Sen
 
 
 def test_a_log_without_a_map_is_calibrated_on_the_maps_of_its_halves(data: Path):
-    log = sensor_log(data, "carmen_radish_corrected/freiburg-079-corrected.log.gz")
+    log = read_log(data / "carmen_radish_corrected/freiburg-079-corrected.log.gz").only_sensor()
     log = log.select(np.arange(min(len(log), 800)))
     result = calibrate(log, build_cross_fit_maps(log), replace(OPTIONS, refine=False))
     assert beats_the_defaults(result)

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.scan_fit.changed_places import ChangedPlaces, find_changed_places
+from tests.real.posed_logs import turtlebot_log, wean_log
 
 pytestmark = pytest.mark.real
 # About what `calibrate` learns, which would take the time of all the rest.
@@ -20,9 +19,8 @@ TURTLEBOT = BeamParameters(0.6, 0.01, 0.185, 0.205, 0.014, 0.0, range_offset=0.0
 
 
 def wean_places(data: Path, number: int) -> ChangedPlaces:
-    log = read_log(data / f"wean_hall/robotdata{number}.log.gz", max_range=81.83)
-    posed = attach_poses(log, read_trajectory(data / f"wean_hall/reference_robotdata{number}.csv.gz")).only_sensor()
-    return find_changed_places(posed, read_map(data / "wean_hall/derived_wean.yaml"), WEAN)
+    log = wean_log(data, number, max_range=81.83)
+    return find_changed_places(log, read_map(data / "wean_hall/derived_wean.yaml"), WEAN)
 
 
 def test_two_drives_through_wean_hall_name_the_same_missing_walls(data: Path):
@@ -36,11 +34,9 @@ def test_two_drives_through_wean_hall_name_the_same_missing_walls(data: Path):
 
 
 def test_windows_return_nothing(data: Path):
-    log = attach_poses(
-        read_log(data / "olin_mac_tb4/macfirst_floor_take_2"),
-        read_trajectory(data / "olin_mac_tb4/derived_ref_take_2.csv.gz"),
-    ).only_sensor()
-    found = find_changed_places(log, read_map(data / "olin_mac_tb4/map/mac_1st_floor_final.yaml"), TURTLEBOT)
+    found = find_changed_places(
+        turtlebot_log(data), read_map(data / "olin_mac_tb4/map/mac_1st_floor_final.yaml"), TURTLEBOT
+    )
     front = max(found.of_kind("no return (glass?)"), key=lambda place: place.readings)
     assert (front.x, front.y) == pytest.approx((9.7, -5.0), abs=0.3)
     assert front.height == pytest.approx(2.1, abs=0.4)

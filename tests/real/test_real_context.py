@@ -7,11 +7,10 @@ import pytest
 
 from beamfield.calibration.context.exponent import learn_exponent, scan_log_likelihoods, score_exponents
 from beamfield.calibration.pose_windows import WindowOptions, cut_windows, draw_rivals_of_each
-from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
+from tests.real.posed_logs import wean_log
 
 pytestmark = pytest.mark.real
 
@@ -20,14 +19,8 @@ LOG_1 = BeamParameters(0.881, 0.0667, 0.0037, 0.0486, 0.081, 0.392, range_offset
 
 
 def test_exponents_of_one_log_cover_the_truth_in_another(data):
-    folder = data / "wean_hall"
-    grid = read_map(folder / "derived_wean.yaml")
-    logs = [
-        attach_poses(
-            read_log(folder / f"robotdata{i}.log.gz"), read_trajectory(folder / f"reference_robotdata{i}.csv.gz")
-        ).only_sensor()
-        for i in (1, 3)
-    ]
+    grid = read_map(data / "wean_hall/derived_wean.yaml")
+    logs = [wean_log(data, number) for number in (1, 3)]
     model = BeamModel(grid, LOG_1, n_beams=30)
     learned = learn_exponent(model, logs[0], grid)
     assert 4.0 < learned.independent_beams < 7.0

@@ -5,17 +5,14 @@ from __future__ import annotations
 import pytest
 
 from beamfield.calibration.field.learning import learn_field_parameters
-from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.io.trajectory import attach_poses, read_trajectory
+from tests.real.posed_logs import wean_log
 
 pytestmark = pytest.mark.real
 
 
 def test_wean_hall_teaches_a_field_whose_posteriors_hold_the_reference(data):
-    folder = data / "wean_hall"
-    log = attach_poses(read_log(folder / "robotdata1.log.gz"), read_trajectory(folder / "reference_robotdata1.csv.gz"))
-    learned = learn_field_parameters(log.only_sensor(), read_map(folder / "derived_wean.yaml"))
+    learned = learn_field_parameters(wean_log(data, 1), read_map(data / "wean_hall/derived_wean.yaml"))
     fit, independent, uniform = learned.scores
     assert learned.converged
     assert learned.parameters.z_hit == pytest.approx(0.87, abs=0.03)

@@ -9,20 +9,17 @@ from beamfield.features.lines import find_lines
 from beamfield.features.map_features import map_features
 from beamfield.features.sweep import RangeNoise
 from beamfield.geometry import compose
-from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
+from tests.real.posed_logs import wean_log
 
 pytestmark = pytest.mark.real
 
 
 def test_walls_of_scans_tell_where_across_them_the_robot_is(data, rng):
-    folder = data / "wean_hall"
-    log = attach_poses(read_log(folder / "robotdata1.log.gz"), read_trajectory(folder / "reference_robotdata1.csv.gz"))
-    sensor = log.only_sensor()
-    walls = map_features(read_map(folder / "derived_wean.yaml"), spacing=2.0).lines
+    sensor = wean_log(data, 1)
+    walls = map_features(read_map(data / "wean_hall/derived_wean.yaml"), spacing=2.0).lines
     noise = LineParameters(0.1, 0.03, spurious_rate=0.1, max_range=20.0)
     model = LineModel(walls, noise, correspondence="sum", min_overlap=0.5)
     away = rng.normal(0.0, [0.7, 0.7, 0.2], (300, 3))

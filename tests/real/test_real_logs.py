@@ -15,6 +15,7 @@ from beamfield.io.logs.carmen import read_carmen, write_carmen
 from beamfield.io.read_log import read_log
 from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.sensors import ScanLog, usable_ranges
+from tests.real.posed_logs import posed_log
 
 RADISH = "carmen_radish_corrected/{}-corrected.log.gz"
 
@@ -153,11 +154,8 @@ def test_wean_hall_gives_the_same_numbers_from_text_and_mcap(data):
     np.testing.assert_allclose(
         usable_ranges(bag.ranges, bag.finder), usable_ranges(text.ranges, text.finder), rtol=1e-6
     )
-    reference = read_trajectory(data / "wean_hall" / "reference_robotdata1.csv.gz")
-    by_index = [
-        attach_poses(read_log(data / p), reference).only_sensor().poses
-        for p in (LOGS["wean 1"][0], "derived_wean_mcap/bag")
-    ]
+    logs = LOGS["wean 1"][0], "derived_wean_mcap/bag"
+    by_index = [posed_log(data, log, "wean_hall/reference_robotdata1.csv.gz").poses for log in logs]
     np.testing.assert_array_equal(*by_index)
 
 
@@ -171,8 +169,7 @@ def test_wean_hall_gives_the_same_numbers_from_text_and_mcap(data):
 )
 def test_reference_files_beside_bags_attach_to_every_scan(data, log, poses):
     pytest.importorskip("rosbags")
-    attached = attach_poses(read_log(data / log), read_trajectory(data / poses)).only_sensor()
-    assert np.isfinite(attached.poses).all()
+    assert np.isfinite(posed_log(data, log, poses).poses).all()
 
 
 @pytest.mark.real

@@ -7,17 +7,13 @@ import pytest
 
 from beamfield.calibration.odometry.learning import calibrate_odometry
 from beamfield.io.read_log import read_log
-from beamfield.io.trajectory import attach_poses, read_trajectory
+from tests.real.posed_logs import wean_log
 
 
 @pytest.mark.real
 @pytest.mark.parametrize("number", [1, 3])
 def test_wean_halls_robot_needs_no_more_noise_than_the_floor(data, number):
-    folder = data / "wean_hall"
-    log = attach_poses(
-        read_log(folder / f"robotdata{number}.log.gz"), read_trajectory(folder / f"reference_robotdata{number}.csv.gz")
-    )
-    result = calibrate_odometry(log.only_sensor())
+    result = calibrate_odometry(wean_log(data, number))
     alphas = [getattr(result.alphas, f"alpha{i}") for i in range(1, 5)]
     np.testing.assert_allclose(alphas, 0.02)
     assert result.candidates[1].levels[0].high < 0.02

@@ -10,44 +10,37 @@ import pytest
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.time_split import time_blocks
-from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.scan_fit.reference import ScanFitReference, calibrate_scan_fit
 from beamfield.scan_fit.scan_fit import judge_log
 from beamfield.scan_fit.wrong_poses import wrong_poses
-from beamfield.sensors import SensorLog
+from tests.real.posed_logs import turtlebot_log, wean_log
 
 pytestmark = pytest.mark.real
 OPTIONS = CalibrationOptions(refine=False)
 MAX_RANGE = 81.83
 
 
-def wean_log(data: Path, number: int) -> SensorLog:
-    log = read_log(data / f"wean_hall/robotdata{number}.log.gz", max_range=MAX_RANGE)
-    return attach_poses(log, read_trajectory(data / f"wean_hall/reference_robotdata{number}.csv.gz")).only_sensor()
-
-
 @pytest.fixture(scope="module")
 def wean(data: Path) -> tuple[OccupancyGrid, BeamModel, ScanFitReference]:
     grid = read_map(data / "wean_hall/derived_wean.yaml")
-    log = wean_log(data, 1)
+    log = wean_log(data, 1, max_range=MAX_RANGE)
     model = BeamModel(grid, calibrate(log, grid, OPTIONS).parameters)
     return grid, model, calibrate_scan_fit(model, log)
 
 
 def test_another_run_fits_as_well_as_the_first(data: Path, wean):
     _, model, reference = wean
-    fits = judge_log(model, wean_log(data, 3), reference)
+    fits = judge_log(model, wean_log(data, 3, max_range=MAX_RANGE), reference)
     assert fits.share_that_fits() > 0.93
     assert fits.longest_lost() is None
 
 
 def test_wrong_poses_at_wean_hall_are_found(data: Path, wean):
     grid, model, reference = wean
-    log = wean_log(data, 3)
+    log = wean_log(data, 3, max_range=MAX_RANGE)
     poses = wrong_poses(log.poses, time_blocks(log.stamps, 10.0), grid, np.random.default_rng(1))
     fits = judge_log(model, log.with_poses(poses), reference)
     judged = ~np.isnan(fits.p_value)
@@ -64,10 +57,7 @@ def test_the_lost_probability_is_reliable_at_wean_hall(wean):
 
 
 def test_the_turtlebot_is_found_lost_only_when_it_is(data: Path):
-    log = attach_poses(
-        read_log(data / "olin_mac_tb4/macfirst_floor_take_2"),
-        read_trajectory(data / "olin_mac_tb4/derived_ref_take_2.csv.gz"),
-    ).only_sensor()
+    log = turtlebot_log(data)
     grid = read_map(data / "olin_mac_tb4/map/mac_1st_floor_final.yaml")
     first, second = log.select(np.arange(170)), log.select(np.arange(170, len(log)))
     model = BeamModel(grid, calibrate(first, grid, replace(OPTIONS, block_s=2.0)).parameters)

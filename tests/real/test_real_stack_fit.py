@@ -7,24 +7,17 @@ from pathlib import Path
 import pytest
 
 from beamfield.calibration.pose_windows import WindowOptions, cut_windows, draw_rivals
-from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import SensorLog
 from beamfield.stacks.fit.fit import StackFit, fit_stack, net_score
 from beamfield.stacks.fit.window_evidence import gather_evidence, score_windows
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import build_model
+from tests.real.posed_logs import wean_log
 
 pytestmark = pytest.mark.real
 DEFAULT = Nav2Parameters(laser_model_type="likelihood_field_prob")
 OPTIONS = WindowOptions(windows=60, near=150, far=40)
-
-
-def wean_log(data: Path, number: int) -> SensorLog:
-    log = read_log(data / f"wean_hall/robotdata{number}.log.gz")
-    return attach_poses(log, read_trajectory(data / f"wean_hall/reference_robotdata{number}.csv.gz")).only_sensor()
 
 
 @pytest.fixture(scope="module")

@@ -14,13 +14,13 @@ from beamfield.calibration.odometry.learning import calibrate_odometry
 from beamfield.calibration.odometry.result import OdometryOptions
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
+from beamfield.localization.particles import normal_poses
 from beamfield.localization.replay import PoseBelief
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.stacks.f1tenth.filter import F1tenthFilterParameters
 from beamfield.stacks.f1tenth.motion import F1tenthMotion, dispersions
 from beamfield.stacks.f1tenth.parameters import F1tenthParameters
 from beamfield.stacks.f1tenth.table import F1tenthTable
-from beamfield.stacks.filters.particles import normal_poses
 from beamfield.stacks.registry import build_filter
 from tests.reference import motion_slow
 from tests.stacks.small_room import small_room

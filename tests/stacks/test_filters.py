@@ -21,7 +21,6 @@ from beamfield.stacks.filters.histogram import Histogram, kld_limits
 from beamfield.stacks.filters.particles import (
     at_points,
     draw_by_weight,
-    normal_poses,
     particle_moments,
     reweighed,
     uniform_poses,
@@ -124,13 +123,6 @@ def test_points_are_found_as_bisection_finds_them(rng, weights):
     points = np.r_[rng.random(2000), 0.0, np.nextafter(1.0, 0.0)]
     expected = np.minimum(np.searchsorted(sums, points * sums[-1], side="right"), len(weights) - 1)
     assert at_points(weights / weights.sum(), points).tolist() == expected.tolist()
-
-
-def test_start_poses_follow_the_belief(rng):
-    covariance = np.array([[0.25, 0.1, 0.0], [0.1, 0.16, 0.02], [0.0, 0.02, 0.09]])
-    poses = normal_poses(PoseBelief(np.array([1.0, 2.0, 3.0]), covariance), 40_000, rng)
-    np.testing.assert_allclose(np.cov(poses.T), covariance, atol=0.01)
-    np.testing.assert_allclose(poses.mean(axis=0), [1.0, 2.0, 3.0], atol=0.01)
 
 
 def test_random_poses_are_on_free_cells_only(rng):

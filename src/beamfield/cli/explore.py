@@ -27,7 +27,7 @@ from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.terminal import complain
 from beamfield.cli.wording import in_options
-from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError, TooLittleDataError
+from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, TooLittleDataError, needs
 
 if TYPE_CHECKING:
     from beamfield.explorer.session import Session
@@ -60,10 +60,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read, learn, serve until Ctrl-C."""
-    try:
+    with needs("uvicorn", "explore", "the explorer"):
         import uvicorn
-    except ImportError as error:
-        raise MissingDependencyError("uvicorn", "explore", "the explorer") from error
     from beamfield.explorer.server import explorer_app, listening_socket, new_token, page_address
 
     if arguments.port > 65535:

@@ -23,7 +23,7 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from beamfield.errors import BeamfieldError, MissingDependencyError
+from beamfield.errors import BeamfieldError, needs
 from beamfield.explorer.requests import LARGEST_MESSAGE, SLOW
 
 if TYPE_CHECKING:
@@ -73,12 +73,10 @@ def explorer_app(session: Session, token: str, port: int) -> Starlette:
 
     The port is that of the Host and the Origin that are ours. MissingDependencyError if Starlette is not installed.
     """
-    try:
+    with needs("starlette", "explore", "the explorer"):
         from starlette.applications import Starlette
         from starlette.responses import PlainTextResponse, Response
         from starlette.routing import Route
-    except ImportError as error:
-        raise MissingDependencyError("starlette", "explore", "the explorer") from error
 
     files = {name: page_file(name) for name in PAGE_FILES}
     hosts = {f"{ADDRESS}:{port}", f"localhost:{port}"}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.errors import BeamfieldError, MissingDependencyError
+from beamfield.errors import BeamfieldError, needs
 from beamfield.explorer.open_session import open_session
 from beamfield.explorer.parameter_set import read_set
 from beamfield.explorer.server import MODULES, as_json, page_file
@@ -88,10 +88,8 @@ def explore(
 
 def session_widget(session: Session) -> AnyWidget:
     """Return the widget of a session."""
-    try:
+    with needs("anywidget", "notebook", "the explorer in a notebook"):
         import anywidget
-    except ImportError as error:
-        raise MissingDependencyError("anywidget", "notebook", "the explorer in a notebook") from error
 
     class Explorer(anywidget.AnyWidget):  # type: ignore[misc, unused-ignore]
         """The page's component."""

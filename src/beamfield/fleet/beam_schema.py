@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from beamfield.errors import MissingDependencyError
+from beamfield.errors import needs
 
 # Raise it when columns change, or what is computed in them does: catalogues are then made anew.
 SCHEMA = 2
@@ -43,12 +43,10 @@ ENCODINGS = {
 
 def require_pyarrow() -> Any:
     """Return PyArrow with its Parquet and data set modules, or say how to get it."""
-    try:
+    with needs("pyarrow", "fleet", "a fleet's catalogue"):
         import pyarrow as pa
         import pyarrow.dataset
         import pyarrow.parquet
-    except ImportError as error:
-        raise MissingDependencyError("pyarrow", "fleet", "a fleet's catalogue") from error
     return pa
 
 

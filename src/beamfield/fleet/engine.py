@@ -14,7 +14,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from beamfield.arguments import as_count
-from beamfield.errors import BeamfieldError, InvalidInputError, MissingDependencyError
+from beamfield.errors import BeamfieldError, InvalidInputError, needs
 from beamfield.fleet.folder import without_secrets
 from beamfield.kernels.processors import n_processors
 from beamfield.kernels.threads import set_threads
@@ -342,8 +342,6 @@ def _local_cluster(distributed: Any, workers: int) -> Any:
 
 
 def _require_distributed() -> Any:
-    try:
+    with needs("distributed", "fleet", "work on several processors"):
         import distributed
-    except ImportError as error:
-        raise MissingDependencyError("distributed", "fleet", "work on several processors") from error
     return distributed

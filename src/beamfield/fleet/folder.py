@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from beamfield.errors import BeamfieldError, InvalidInputError, MissingDependencyError
+from beamfield.errors import BeamfieldError, InvalidInputError, needs
 from beamfield.io.files.atomic import atomic_file, remove_abandoned
 
 # Whose uploads appear when they are complete. Elsewhere a file is uploaded under another name, and renamed.
@@ -221,8 +221,6 @@ def without_secrets(address: str) -> str:
 
 def require_fsspec() -> Any:
     """Return fsspec, or say how to get it."""
-    try:
+    with needs("fsspec", "fleet", "a fleet's catalogue"):
         import fsspec.core
-    except ImportError as error:
-        raise MissingDependencyError("fsspec", "fleet", "a fleet's catalogue") from error
     return fsspec

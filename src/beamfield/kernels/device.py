@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 from numba import config
 
-from beamfield.errors import InvalidInputError, MissingDependencyError
+from beamfield.errors import InvalidInputError, MissingDependencyError, needs
 
 # Whether Numba runs device code as Python (NUMBA_ENABLE_CUDASIM=1), which needs no GPU.
 IN_SIMULATOR = bool(vars(config)["ENABLE_CUDASIM"])
@@ -35,9 +35,7 @@ def require_device(device: str) -> None:
         return
     if not IN_SIMULATOR and find_spec("numba_cuda") is None:
         raise MissingDependencyError(PACKAGE, EXTRA, "device='cuda'")
-    try:
+    with needs(PACKAGE, EXTRA, "device='cuda'"):
         from numba import cuda
-    except ImportError as error:
-        raise MissingDependencyError(PACKAGE, EXTRA, "device='cuda'") from error
     if not cuda.is_available():
         raise InvalidInputError("device: expected a GPU and its driver for 'cuda', found none; device='cpu' needs none")

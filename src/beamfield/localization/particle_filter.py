@@ -205,8 +205,8 @@ class ParticleFilter(Generic[Z]):
         InvalidInputError
             If the cloud is not finite (n, 3), or the weights do not fit.
         """
-        given = None if weights is None else as_floats(weights, "weights")
-        # A copy: the caller may fill the same array again.
+        # Copies: the caller may fill the same arrays again.
+        given = None if weights is None else np.array(as_floats(weights, "weights"))
         self._belief = Particles(np.array(as_poses(poses), order="C"), given)
         self._coarse = coarse
         self._odometry = ContinuousOdometry()
@@ -281,8 +281,7 @@ class ParticleFilter(Generic[Z]):
             z = self._short.leave_out(z, moved, self._rng)  # type: ignore[assignment]  # a scan is what Z is
         model = self._model if self._coarse is None else self._coarse
         log_likelihood = checked_log_likelihood(model, z, moved.poses)
-        weights = np.array(moved.weights)
-        log_evidence, effective, power = reweigh(weights, log_likelihood, self.options.least_effective, weights)
+        weights, log_evidence, effective, power = reweigh(moved.weights, log_likelihood, self.options.least_effective)
         weighed = Particles.unchecked(moved.poses, weights)
         if log_evidence == -math.inf:
             effective = 1.0 / float(np.square(weights).sum())

@@ -141,8 +141,13 @@ def belief_poses(belief: PoseBelief, n: int, rng: np.random.Generator) -> FloatA
     InvalidInputError
         If n < 1.
     """
+    return normal_poses(belief, as_count(n, "n", least=1), rng)
+
+
+def normal_poses(belief: PoseBelief, n: int, rng: np.random.Generator) -> FloatArray:
+    """Do what `belief_poses` does, for callers whose own argument is to be named if it is no belief."""
     variances, axes = np.linalg.eigh(belief.covariance)
-    drawn = rng.standard_normal((as_count(n, "n", least=1), 3))
+    drawn = rng.standard_normal((n, 3))
     return np.asarray(belief.mean + (drawn * np.sqrt(np.maximum(variances, 0.0))) @ axes.T)
 
 

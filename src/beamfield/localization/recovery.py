@@ -194,7 +194,7 @@ class PosesFromScan:
         candidates = free_poses(self.grid, self.n_candidates, rng)
         log_likelihood = checked_log_likelihood(self.model, z, candidates)
         weights: FloatArray = np.full(len(candidates), 1.0 / len(candidates))
-        reweigh(weights, log_likelihood, LEAST_EFFECTIVE / len(candidates), weights)
+        weights, *_ = reweigh(weights, log_likelihood, LEAST_EFFECTIVE / len(candidates))
         return np.asarray(candidates[systematic_indices(weights, n, rng)])
 
 
@@ -247,29 +247,28 @@ class PosesFromLandmarks:
 
 
 def reweigh(
-    weights: FloatArray, log_likelihood: FloatArray, least_share: float, out: FloatArray
-) -> tuple[float, float, float]:
+    weights: FloatArray, log_likelihood: FloatArray, least_share: float
+) -> tuple[FloatArray, float, float, float]:
     """Multiply weights (n,) by a likelihood (n,), flattened so far that a share of their effective number is left.
 
     The likelihood is taken to the largest power, at most 1, that leaves this share of the effective number of those
-    weights that are possible by it; 0 takes the first power. The weights sum to 1; out (n,) is overwritten, and may be
-    `weights`.
+    weights that are possible by it; 0 takes the first power. The weights sum to 1.
 
-    Return log sum_i w_i p_i before any flattening, -inf where all are impossible and out is left alone; the effective
-    number of the new weights; the power.
+    Return the new weights, or those given where all are impossible; log sum_i w_i p_i before any flattening, -inf where
+    all are impossible; the effective number of the new weights; the power.
     """
     trial = np.empty_like(weights)
     log_mean, effective = kernels.fill_weights(weights, log_likelihood, 1.0, trial)
     power = 1.0
-    if least_share > 0.0 and -math.inf < log_mean < math.inf:
+    if not -math.inf < log_mean < math.inf:
+        return weights, log_mean, effective, power
+    if least_share > 0.0:
         possible = weights[log_likelihood > -math.inf]
         possible /= possible.max()  # squares of small weights would be 0
         target = least_share * float(possible.sum()) ** 2 / float(np.square(possible).sum())
         if effective < target:
             power, effective = _flatten(weights, log_likelihood, target, trial)
-    if -math.inf < log_mean < math.inf:
-        out[:] = trial
-    return log_mean, effective, power
+    return trial, log_mean, effective, power
 
 
 # The power is looked for among the highest DECADES, then among the next, and found to 0.1% by so many halvings.

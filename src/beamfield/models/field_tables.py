@@ -66,10 +66,6 @@ class FieldTables:
         self._smooth_views: dict[float, smooth_field.SmoothView] = {}
         self._lock = threading.Lock()
 
-    def __len__(self) -> int:
-        """Return the number of tables that are kept."""
-        return len(self._tables)
-
     def view(self, max_range: float) -> kernels.FieldView:
         """Return the parameters as the kernels take them, for scans with this limit."""
         p = self._parameters

@@ -277,8 +277,7 @@ def _draw(
 
 def _log_likelihoods(model: LandmarkModel, detections: Detections, poses: FloatArray) -> FloatArray:
     """Return log p of each feature given each pose, (n, k), as the proposals have it."""
-    p = model.parameters
-    p = replace(p, spurious_rate=0.0)
+    p = replace(model.parameters, spurious_rate=0.0)
     without_spurious = LandmarkModel(model.landmarks, p, correspondence="sum", mount=model.mount)
     each = without_spurious.detection_log_likelihood(detections, poses)
     no_range = np.isnan(detections.ranges)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 
-from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
+from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, needs
 from beamfield.io.bags.unpacking import Allowance, check_storage, limit_chunks, unpack_file, unpack_message
 from beamfield.io.files.atomic import scratch_folder
 from beamfield.io.files.bag_storage import is_packed_storage, mcap_profile, repair_of, storage_of
@@ -293,11 +293,9 @@ def _files_of_metadata(folder: Path) -> tuple[list[Path], bool]:
 
 
 def _reader(paths: list[Path]) -> AnyReader:
-    try:
+    with needs("rosbags", "ros", "reading a bag"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingDependencyError("rosbags", "ros", "reading a bag") from error
     return AnyReader(paths, default_typestore=get_typestore(Stores.LATEST))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.arguments import require
-from beamfield.errors import InvalidInputError, MissingDependencyError
+from beamfield.errors import InvalidInputError, needs
 from beamfield.geometry import FloatArray
 from beamfield.sensors import RangeFinder
 
@@ -130,11 +130,9 @@ def even_bearings(finder: RangeFinder, topic: str) -> tuple[float, float]:
 
 def load_typestore() -> Typestore:
     """Return the message definitions of the newest ROS 2; MissingDependencyError if rosbags is not installed."""
-    try:
+    with needs("rosbags", "ros", "writing a bag"):
         import rosbags.rosbag2  # noqa: F401 - for `write_messages`
         from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingDependencyError("rosbags", "ros", "writing a bag") from error
     return get_typestore(Stores.LATEST)
 
 

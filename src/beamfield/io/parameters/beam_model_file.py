@@ -7,19 +7,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from beamfield.errors import InvalidInputError
-from beamfield.io.files.yaml_file import read_yaml
-from beamfield.io.parameters.document import (
-    COUNTING,
-    counting_section,
-    document_text,
-    named_numbers,
-    read_counting,
-    read_limits,
-    sensor_section,
-    six_digits,
-)
-from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
+from beamfield.io.parameters.document import counting_section, document_text, read_saved, sensor_section, six_digits
+from beamfield.models.beam_parameters import EXTENSIONS, WEIGHTS, BeamParameters, SavedBeamModel
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
@@ -34,9 +23,6 @@ HEADER = """\
 # filter, which multiplies the values of scan after scan, and to that of single_scan_exponent for one scan on its own,
 # which is worth about single_scan_exponent * n_beams independent beams.
 """
-# Left out, they have the defaults of `BeamParameters`.
-OPTIONAL = ("range_offset", "sigma_slope")
-WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 
 
 def beam_model_text(
@@ -88,13 +74,7 @@ def read_beam_model(path: str | Path) -> SavedBeamModel:
     FormatError
         If a parameter is missing, no number, or outside its range, or a limit of the sensor is; names the line.
     """
-    file = read_yaml(path)
     names = [item.name for item in fields(BeamParameters)]
-    required = [name for name in names if name not in OPTIONAL]
-    values = named_numbers(file, "beam_model", [*names, *COUNTING], required=required)
-    counting = read_counting(file, "beam_model", values)
-    limits = read_limits(file)
-    try:
-        return SavedBeamModel(**values, **counting, **limits)
-    except InvalidInputError as error:
-        raise file.error(str(error), "beam_model") from error
+    # Left out, extensions have the defaults of `BeamParameters`.
+    required = [name for name in names if name not in EXTENSIONS]
+    return read_saved(path, "beam_model", names, SavedBeamModel, required=required)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 from ruamel.yaml import YAML
 
-from beamfield.io.files.yaml_file import YamlFile
+from beamfield.errors import InvalidInputError
+from beamfield.io.files.yaml_file import YamlFile, read_yaml
 from beamfield.printable import printable
 from beamfield.sensors import RangeFinder
 
@@ -17,6 +19,8 @@ from beamfield.sensors import RangeFinder
 SECTIONS = ("beam_model", "likelihood_field", "landmark_model")
 # How much beams count (6.3.4).
 COUNTING = ("exponent", "single_scan_exponent", "n_beams")
+
+Saved = TypeVar("Saved")
 
 
 def document_text(
@@ -67,8 +71,8 @@ def named_numbers(
 
     FormatError names the line if the section or a parameter is missing, a parameter is unknown or no finite number.
     """
-    if not isinstance(file.values, dict) or section not in file.values:
-        other = next((name for name in SECTIONS if isinstance(file.values, dict) and name in file.values), None)
+    if section not in file.values:
+        other = next((name for name in SECTIONS if name in file.values), None)
         got = f", got a {other}.yaml" if other else ""
         raise file.error(f"the key {section!r} is missing; expected a {section}.yaml of beamfield{got}")
     given = file.value(section)
@@ -85,7 +89,23 @@ def named_numbers(
     return values
 
 
-def read_limits(file: YamlFile) -> dict[str, Any]:
+def read_saved(
+    path: str | Path, section: str, names: Sequence[str], kind: type[Saved], *, required: Collection[str]
+) -> Saved:
+    """Return what the file of a model of scans says: parameters, how much beams count, and the sensor's limits.
+
+    FormatError as of `named_numbers`, and if one of them is outside its range.
+    """
+    file = read_yaml(path)
+    values = named_numbers(file, section, [*names, *COUNTING], required=required)
+    counting, limits = _counting(file, section, values), _limits(file)
+    try:
+        return kind(**values, **counting, **limits)
+    except InvalidInputError as error:
+        raise file.error(str(error), section) from error
+
+
+def _limits(file: YamlFile) -> dict[str, Any]:
     """Return the sensor's limits in a file, checked, as keyword arguments of a saved model; no min_range is 0."""
     max_range = file.number("sensor", "max_range")
     min_range = file.number("sensor", "min_range") if "min_range" in file.value("sensor") else 0.0
@@ -103,7 +123,7 @@ def counting_section(exponent: float, single_scan_exponent: float | None, n_beam
     }
 
 
-def read_counting(file: YamlFile, section: str, values: dict[str, Any]) -> dict[str, Any]:
+def _counting(file: YamlFile, section: str, values: dict[str, Any]) -> dict[str, Any]:
     """Return what a section says of how much beams count, checked, as keyword arguments of a saved model.
 
     exponent, n_beams and single_scan_exponent are taken out of the values, which are from `named_numbers`. FormatError

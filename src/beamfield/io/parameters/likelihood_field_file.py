@@ -6,18 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from beamfield.errors import InvalidInputError
-from beamfield.io.files.yaml_file import read_yaml
-from beamfield.io.parameters.document import (
-    COUNTING,
-    counting_section,
-    document_text,
-    named_numbers,
-    read_counting,
-    read_limits,
-    sensor_section,
-    six_digits,
-)
+from beamfield.io.parameters.document import counting_section, document_text, read_saved, sensor_section, six_digits
 from beamfield.models.field_parameters import LikelihoodFieldParameters, SavedLikelihoodField
 from beamfield.sensors import RangeFinder
 
@@ -74,11 +63,4 @@ def read_likelihood_field(path: str | Path) -> SavedLikelihoodField:
         If a parameter is missing, unknown, no number, or outside its range, or a limit of the sensor is; names the
         line.
     """
-    file = read_yaml(path)
-    values = named_numbers(file, "likelihood_field", (*PARAMETERS, *COUNTING), required=REQUIRED)
-    counting = read_counting(file, "likelihood_field", values)
-    limits = read_limits(file)
-    try:
-        return SavedLikelihoodField(**values, **counting, **limits)
-    except InvalidInputError as error:
-        raise file.error(str(error), "likelihood_field") from error
+    return read_saved(path, "likelihood_field", PARAMETERS, SavedLikelihoodField, required=REQUIRED)

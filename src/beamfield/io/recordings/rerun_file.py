@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beamfield.errors import MissingDependencyError
+from beamfield.errors import needs
 from beamfield.geometry import FloatArray
 from beamfield.io.files.atomic import atomic_file
 from beamfield.io.recordings.recording import COLOURS, Recording, entity
@@ -36,10 +36,8 @@ def write_rerun(path: str | Path, recording: Recording) -> None:
     for each number. Time is that of the log, in seconds from its first scan. MissingDependencyError if the Rerun SDK is
     not installed.
     """
-    try:
+    with needs("rerun-sdk", "rerun", "writing a recording for Rerun"):
         import rerun
-    except ImportError as error:
-        raise MissingDependencyError("rerun-sdk", "rerun", "writing a recording for Rerun") from error
     with atomic_file(path) as part:
         stream = rerun.RecordingStream("beamfield", send_properties=False)
         stream.save(part, default_blueprint=_layout(recording))

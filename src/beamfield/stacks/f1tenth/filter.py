@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from beamfield.geometry import FloatArray, compose
+from beamfield.localization.particles import normal_poses
 from beamfield.localization.replay import PoseBelief
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.motion import MotionModel
@@ -18,7 +19,6 @@ from beamfield.stacks.filters.loop import scans_with_odometry
 from beamfield.stacks.filters.particles import (
     check_particle_counts,
     draw_by_weight,
-    normal_poses,
     normalised,
     uniform_poses,
 )

@@ -10,13 +10,14 @@ import numpy as np
 
 from beamfield.arguments import checked, keep
 from beamfield.errors import InvalidInputError
+from beamfield.localization.particles import normal_poses
 from beamfield.localization.replay import PoseBelief, Replay
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.motion import MotionModel
 from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.filters.loop import Cloud, WatchCloud, run_loop
-from beamfield.stacks.filters.particles import normal_poses, uniform_poses
+from beamfield.stacks.filters.particles import uniform_poses
 from beamfield.stacks.filters.scan_weights import ScanWeights
 
 

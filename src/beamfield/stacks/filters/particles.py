@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from beamfield.arguments import require
 from beamfield.geometry import FloatArray, transform_points
 from beamfield.kernels.particles import fill_moments, find_points
-from beamfield.localization.replay import PoseBelief
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.emulation.parameter_checks import check_counts
 
@@ -28,13 +27,6 @@ def check_particle_counts(parameters: Any, *names: str) -> None:
     for name in names:
         value = getattr(parameters, name)
         require(value <= MOST_PARTICLES, name, f"at most {MOST_PARTICLES}", value)
-
-
-def normal_poses(belief: PoseBelief, n: int, rng: np.random.Generator) -> FloatArray:
-    """Return n poses (n, 3) from a normal belief; headings are not wrapped."""
-    values, vectors = np.linalg.eigh(belief.covariance)
-    scaled = rng.standard_normal((n, 3)) * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(belief.mean + scaled @ vectors.T)
 
 
 def uniform_poses(seen: OccupancyGrid, n: int, rng: np.random.Generator) -> FloatArray:

@@ -17,7 +17,7 @@ from beamfield.geometry import FloatArray
 from beamfield.localization.coarse_model import CoarseModel
 from beamfield.localization.mapped_area import MappedArea, MappedAreaModel
 from beamfield.localization.particle_filter import FilterOptions, ParticleFilter, Update
-from beamfield.localization.particles import Estimate, belief_poses, free_poses
+from beamfield.localization.particles import Estimate, free_poses, normal_poses
 from beamfield.localization.recovery import PoseSource
 from beamfield.localization.relocalization import Relocalizer
 from beamfield.localization.replay import PoseBelief, Replay
@@ -242,7 +242,7 @@ class ScanLocalizer:
     def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> FloatArray:
         if start is None:
             return free_poses(self.grid, max(self.n_anywhere, self.options.n_particles), rng)
-        return belief_poses(start, self.options.n_particles, rng)
+        return normal_poses(start, self.options.n_particles, rng)
 
 
 class _FoundPlace:

@@ -173,7 +173,6 @@ def test_help_and_the_list_of_figures_load_no_numerical_library():
             "-o/--out: expected a path on this machine, got the address",
         ),
         (["figures", "--out", "s3://store/pictures"], "-o/--out: expected a path on this machine, got the address"),
-        (["map", "run.log", "--mask", "-5:5"], "--mask: a value that begins with - needs =, as in --mask=-5:5."),
         (
             ["localize", "run.log", "--map", "m", "-o", "x.tum"],
             "-o/--out: expected a folder to write files into, got 'x.tum'",
@@ -187,3 +186,8 @@ def test_wrong_usage_is_one_line_with_the_reason_first(words, message, capsys):
     error = capsys.readouterr().err
     assert error.startswith(f"beamfield: error: {message}")
     assert error.count("\n") == 1
+
+
+def test_a_value_may_begin_with_a_minus():
+    apart = "map run.log --mask -5:5 --hit -1e-3 --mount -1e-3 -2 -.5"
+    assert build_parser().parse_args(apart.split()).mount == [-1e-3, -2.0, -0.5]

@@ -8,12 +8,7 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
-import numpy as np
-
-from tests.rays.compare import Tally, compare
-
-PER_GRID = 5_000
-PER_TASK = 500_000
+from tests.rays.compare import PER_TASK, Tally, run
 
 
 def main() -> int:
@@ -44,14 +39,6 @@ def main() -> int:
         f"{len(whole.faults)} faults; {time.perf_counter() - began:.0f} s"
     )
     return 1 if whole.faults else 0
-
-
-def run(seed: int, part: int) -> Tally:
-    """Return what comes out of one part; the same seed and part give the same rays."""
-    rng, tally = np.random.default_rng([seed, part]), Tally()
-    while tally.rays < PER_TASK:
-        compare(rng, PER_GRID, tally)
-    return tally
 
 
 def add(whole: Tally, part: Tally) -> None:

@@ -13,6 +13,8 @@ from tests.rays.adversarial import random_fan, random_grid, random_limit, random
 from tests.reference.exact_rays import trace_rays
 
 ULP = 2.0**-52
+PER_GRID = 5_000
+PER_TASK = 500_000
 BEAMS = 50
 # How many rays beside one are tried until one explains its answer. Where two crossings nearly meet, a corner is one in
 # 10,000.
@@ -35,6 +37,17 @@ class Tally:
     worst: float = 0.0
     worst_cells: float = 0.0
     faults: list[str] = field(default_factory=list)
+
+
+def run(seed: int, part: int) -> Tally:
+    """Return what comes out of one part; the same seed and part give the same rays.
+
+    Here and not in `__main__`, which processes that are not forked, as from Python 3.14 on, cannot import.
+    """
+    rng, tally = np.random.default_rng([seed, part]), Tally()
+    while tally.rays < PER_TASK:
+        compare(rng, PER_GRID, tally)
+    return tally
 
 
 def compare(rng: np.random.Generator, n: int, tally: Tally) -> None:

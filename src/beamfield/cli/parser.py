@@ -7,7 +7,7 @@ import difflib
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
-from itertools import takewhile, zip_longest
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -32,6 +32,10 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(formatter_class=_Help, allow_abbrev=False, **options)
+        # From 3.14 on, Python colours help by escape codes, of which `_print_message` makes text.
+        self.color = False
+        # As of 3.14: 3.13 takes what is meant as the value of an option, -5:5 or -1e-3, for another option.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
@@ -41,26 +45,14 @@ class Parser(argparse.ArgumentParser):
         own = list(takewhile(lambda word: word != "--", words))
         if self._subparsers is not None:
             own = list(takewhile(lambda word: word.startswith("-"), words))
-        for word, following in zip_longest(own, own[1:], fillvalue=""):
+        for word in own:
             name = word.partition("=")[0]
             if self._subparsers is not None and name not in self._option_string_actions and _has_option(self, name):
                 self.error(f"{name}: options go after the command")
             # As argparse has it, a word with a space is no option.
             if name.startswith("--") and " " not in word and name not in self._option_string_actions:
                 self.error(f"no option {name}{_meant(name, self._option_string_actions)}")
-            if self._looks_like_no_value_of(word, following):
-                self.error(f"{word}: a value that begins with - needs =, as in {word}={following}")
         return super().parse_known_args(words, namespace)
-
-    def _looks_like_no_value_of(self, word: str, following: str) -> bool:
-        """Return whether argparse would take what is meant as the value of an option, -5:5, for another option."""
-        action = self._option_string_actions.get(word)
-        return (
-            action is not None
-            and action.nargs is None
-            and re.match(r"-[0-9.]", following) is not None
-            and self._negative_number_matcher.match(following) is None
-        )
 
     def error(self, message: str) -> Any:
         """Print what is wrong and where help is, and exit with code 2."""

@@ -168,9 +168,9 @@ def _sums(part: Part, parameters: Mapping[SensorLimits, BeamParameters]) -> _Sum
         for number in np.unique(block):
             rows = hits & (block == number)
             n = np.bincount(sector[rows], minlength=N_SECTORS).astype(np.float64)
-            k = np.stack([np.bincount(sector[rows & of], minlength=N_SECTORS) for of in (no_return, short)], axis=1)
+            each = [np.bincount(sector[rows & of], minlength=N_SECTORS) for of in (no_return, short)]
             beams[number] = beams.get(number, np.zeros(1)) + n[:, None]
-            counts[number] = counts.get(number, np.zeros(1)) + k
+            counts[number] = counts.get(number, np.zeros(1)) + np.stack(each, axis=1)
             if np.count_nonzero(rows & is_hit) >= _FEWEST_HITS:
                 median = float(np.median(residual[rows & is_hit])) + offset
                 medians += (1.0, median, median**2)

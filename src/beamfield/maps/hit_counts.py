@@ -130,7 +130,7 @@ def _frame(
     known = [extent for extent in extents if extent is not None]
     if not known:
         return np.zeros(2, np.int64), (1, 1)
-    low, high = np.min([e[0] for e in known], axis=0), np.max([e[1] for e in known], axis=0)
+    low, high = np.stack([e[0] for e in known]).min(axis=0), np.stack([e[1] for e in known]).max(axis=0)
     size = high - low + 1
     check_size(size, resolution, MAX_CELLS)
     return low.astype(np.int64), (int(size[1]), int(size[0]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +143,7 @@ def _expectations(parameters: BeamParameters, max_range: float, min_range: float
     mean = (share * surprise).sum(axis=1)
     excess = np.clip(surprise - mean[:, None], -MOST_SURPRISE, MOST_SURPRISE)
     through, short = _sides(z, z_star, max_range, parameters)
-    each = {"excess": excess, "through": through, "short": short}
+    each: dict[str, NDArray[Any]] = {"excess": excess, "through": through, "short": short}
     return _Expectations(nodes, {"surprise": mean} | {name: (share * v).sum(axis=1) for name, v in each.items()})
 
 

@@ -134,7 +134,7 @@ def _plain_levels(file: BinaryIO, path: Path, width: int, height: int, maxval: i
         found = text[stray.start() : stray.start() + 16]
         raise FormatError(path, f"expected grey levels, got {found!r}")
     # What is left is digits and spaces, which is all that this parser needs to be safe.
-    levels = np.fromstring(text.decode("ascii"), dtype=np.int64, sep=" ")
+    levels: NDArray[np.int64] = np.fromstring(text.decode("ascii"), dtype=np.int64, sep=" ")
     if len(levels) < width * height:
         raise FormatError(path, f"truncated: expected {width * height} grey levels, got {len(levels)}")
     levels = levels[: width * height].reshape(height, width)

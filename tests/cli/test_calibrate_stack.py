@@ -165,11 +165,11 @@ def test_for_a_map_painted_black_where_nothing_is_known_amcl_gets_one_that_is_no
     assert not (tmp_path / "kept" / "amcl_map.yaml").exists()
 
 
-def test_without_a_model_all_are_fitted_and_the_best_is_written(world, tmp_path, capsys, monkeypatch):
+def test_without_a_file_or_a_replay_windows_choose_the_model(world, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("beamfield.cli.calibrate_stack.replay_fit", lambda *_: (None, "not tested here"))
     assert calibrate(world, tmp_path / "out", "--stack", "beluga") == 3
     document = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]
-    assert [fit["model"] for fit in document["models"]] == ["likelihood_field", "likelihood_field_prob", "beam"]
+    assert [fit["model"] for fit in document["models"]] == ["likelihood_field", "likelihood_field_prob"]
     best = max(document["models"], key=lambda fit: max(trial["net_score"] for trial in fit["trials"]))
     assert best["chosen"]
     file = read_stack_file(tmp_path / "out" / "beluga.yaml", stack="beluga")
@@ -372,25 +372,27 @@ def test_values_are_fitted_in_a_map_that_is_out_of_date_but_not_in_that_of_anoth
 @pytest.mark.parametrize(
     ("model", "said", "tried"),
     [
+        (None, None, ["likelihood_field", "likelihood_field_prob"]),
+        (None, "beam", ["beam"]),
         ("likelihood_field", None, ["likelihood_field", "likelihood_field_prob"]),
         ("beam", None, ["beam", "likelihood_field_prob"]),
         ("likelihood_field_prob", None, ["likelihood_field_prob"]),
         ("likelihood_field", "likelihood_field", ["likelihood_field"]),
     ],
 )
-def test_for_a_file_its_own_model_is_tried_and_a_product_instead_of_a_sum(tmp_path, monkeypatch, model, said, tried):
+def test_the_model_that_runs_is_tried_and_a_product_instead_of_a_sum(tmp_path, monkeypatch, model, said, tried):
     mine = tmp_path / "mine.yaml"
-    mine.write_text(MINE.replace('"likelihood_field"', model))
+    mine.write_text(MINE.replace('"likelihood_field"', str(model)))
     monkeypatch.setattr("beamfield.stacks.fit.fit.fit_stack", lambda _, name, *__, start, **___: (name, start))
     job = SimpleNamespace(
         arguments=SimpleNamespace(stack="nav2", model=said, reference_error=0.04, seed=0, block=None, keep_map=True),
-        patched=read_stack_file(mine, stack="nav2", model=said), progress=None,
+        patched=None if model is None else read_stack_file(mine, stack="nav2", model=said), progress=None,
     )  # fmt: skip
     result = SimpleNamespace(findings=(), candidates=(), options=SimpleNamespace(selection=None))
     fits = _fits(job, None, SimpleNamespace(origin=np.zeros(3)), result)
     assert [name for name, _ in fits] == tried
     assert [start.laser_model_type for _, start in fits] == tried
-    assert {start.sigma_hit for _, start in fits} == {0.6}
+    assert {start.sigma_hit for _, start in fits} == {0.2 if model is None else 0.6}
 
 
 def test_where_scans_tell_nothing_nothing_is_replayed_or_written(monkeypatch):

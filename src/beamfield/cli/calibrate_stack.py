@@ -45,7 +45,7 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--model",
         metavar="NAME",
-        help="the stack's model (default: the best; with --patch the file's, unless another is better)",
+        help="the stack's model (default: the file's or the stack's own, unless another is better)",
     )
     group.add_argument("--patch", type=Path, metavar="FILE",
                        help="start from this parameter file and change the values in it; keeps a backup")  # fmt: skip
@@ -118,10 +118,10 @@ def fit_for_stack(
         section = PageSection.without("stack", f"For {stack}", why)
         document = {"stack": stack, "missing": str(error), "verdict": why}
         return StackPart("stack", why, document, section, doubt=why, problem=why)
-    # A file's own model stays unless replay says otherwise.
-    own, others = (best, []) if job.patched is None else (fits[0], fits[1:])
+    # The model that runs stays unless replay says otherwise.
+    own, *others = fits
     choice, why_not = replay_fit(job, sensor, grid, own, others, motion)
-    chosen = own if choice is None else _fit_of(fits, choice.chosen.filter.model)
+    chosen = best if choice is None else _fit_of(fits, choice.chosen.filter.model)
     known = {finding.name for finding in result.findings}
     found = StackResult(
         fits, chosen, choice, why_not, doubts(result),
@@ -180,10 +180,10 @@ def _said(stack: str, noise: Mapping[str, Any]) -> list[str]:
 
 
 def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> list[StackFit]:
-    """Return a fit of the model asked for, or of each that the stack has.
+    """Return a fit of the model asked for, the file's or the stack's own.
 
-    For a file to patch it is that of its own model first. If that adds up cubes, which are flat whatever the values,
-    that of a field's product comes next.
+    If that adds up cubes, which are flat whatever the values, and none was asked for, that of a field's product comes
+    next.
     """
     from beamfield.maps.solids import hollowed
     from beamfield.report.verdict import DOUBTS
@@ -211,10 +211,10 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
             )
         if (wrong := MENDED_FIRST.get(finding.name)) is not None:
             raise TooLittleDataError(f"correct the {wrong} first: {finding.text} {finding.do}")
-    models = tuple(stack.models) if arguments.model is None else (arguments.model,)
-    if file is not None:
-        is_flat = not stack.model(file.model).weight.is_product
-        models = (file.model, *(name for name in models if is_flat and stack.model(name).weight == FIELD_PRODUCT))
+    own = (arguments.model or stack.default_model) if file is None else file.model
+    models = [own]
+    if arguments.model is None and not stack.model(own).weight.is_product:
+        models += [name for name in stack.models if stack.model(name).weight == FIELD_PRODUCT]
     plain = next((form.result.parameters for form in result.candidates if form.is_chapter), None)
 
     def fit(model: str) -> StackFit:

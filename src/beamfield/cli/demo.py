@@ -28,8 +28,6 @@ from beamfield.cli.terminal import say
 from beamfield.errors import TooLittleDataError
 from beamfield.stacks.files.calibration_record import MOVED_MAP
 
-# The better one of nav2's two likelihood fields; it ships with the other.
-MODEL = "likelihood_field_prob"
 # Neighbouring beams and scans err alike, as those of real robots do: readings that people and moved furniture cut short
 # come in bursts. Everything else is as `simulate` has it.
 SIMULATED = ("--odometry-only", "--scan-rate", "5", "--dependence-angle", "4", "--dependence-time", "1")
@@ -67,7 +65,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     _say(arguments, "2. From log and map, the poses are fitted, and laser, odometry and nav2's amcl are calibrated.")
     calibrated = _run(arguments, calibrate, [
         "calibrate", drive / simulate.CARMEN, "--lone-poses", "odometry", "--map", drive / simulate.MAP,
-        "--odometry-noise", "--stack", "nav2", "--model", MODEL, "--out", result,
+        "--odometry-noise", "--stack", "nav2", "--out", result,
     ])  # fmt: skip
     found = json.loads((result / "calibration.json").read_text(encoding="utf-8"))
     if "missing" in found["stack"]:

@@ -79,13 +79,17 @@ def _about_model(result: StackResult) -> Iterator[Finding]:
         yield Finding(
             "stack-other-model",
             "info",
-            f"The filter does better with {model} than with {before}, which it ran before: its position error was "
+            f"The filter does better with {model} than with {before}, {_which(result.replay)}: its position error was "
             f"{sensor.after:.3f} m, not {sensor.before:.3f} m{despite_error(result.replay, 'sensor')}.",
             why=f"{before} computes {model_named(result.chosen.model.stack, before).weight.text}, {model} "
             f"{model_named(result.chosen.model.stack, model).weight.text}: one scan then says more.",
             do=f"If your robot has to find itself from anywhere, try that, too: {before} forgives more there, and "
             f"--model {before} keeps it.",
         )
+
+
+def _which(replay: ReplayChoice) -> str:
+    return "which it ran before" if replay.before.filter.path is not None else "its default"
 
 
 def other_motion(result: StackResult) -> Iterator[Finding]:
@@ -97,9 +101,9 @@ def other_motion(result: StackResult) -> Iterator[Finding]:
         yield Finding(
             "stack-other-motion",
             "info",
-            f"The filter does better with {key} = {result.motion[key]} than with {before}, which it ran before, also "
-            f"if the robot cannot move sideways: its position error was {motion.after:.3f} m, with the motion noise as "
-            f"before {motion.before:.3f} m{despite_error(result.replay, 'motion')}.",
+            f"The filter does better with {key} = {result.motion[key]} than with {before}, {_which(result.replay)}, "
+            f"also if the robot cannot move sideways: its position error was {motion.after:.3f} m, with the motion "
+            f"noise as before {motion.before:.3f} m{despite_error(result.replay, 'motion')}.",
             why="Where walls are drawn a little off, the pose that fits lies beside the odometry's. Particles get "
             "there by noise across the way driven, of which this model has its own (alpha5); the other has to turn.",
             do="Leave it: the robot's controller and its odometry stay as they are. --odometry-noise keeps the model.",

@@ -24,10 +24,12 @@ import numpy as np
 from beamfield.calibration.calibrate import calibrate
 from beamfield.calibration.context.exponent import learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
+from beamfield.cli.calibrate_choice import name_of, with_better_exponent
 from beamfield.cli.localize import DEFAULT_BEAMS, INDEPENDENT_BEAMS
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.kernels.threads import set_threads
 from beamfield.localization.coarse_model import CoarseModel
+from beamfield.localization.model_choice import choose_model
 from beamfield.localization.particle_filter import FOUND_SPREAD, FilterOptions, Update
 from beamfield.localization.recovery import PosesFromScan, Recovery
 from beamfield.localization.replay import PoseBelief, reference_start
@@ -213,8 +215,13 @@ def learned_models(folder: Path) -> dict[str, Any]:
         "beam model, sigma_hit 0.3 m": BeamModel(grid, replace(beam, sigma_hit=0.3, sigma_slope=0.0), n_beams=30),
     }
     for kind, model in models.items():
-        exponent = learn_exponent(model, log, grid).drive.value
-        models[kind] = type(model)(grid, model.parameters, n_beams=model.n_beams, exponent=exponent)
+        learned = learn_exponent(model, log, grid)
+        tried = {
+            name_of(kind, exponent): type(model)(grid, model.parameters, n_beams=model.n_beams, exponent=exponent)
+            for exponent in (learned.drive.value, learned.single.value)
+        }
+        better = with_better_exponent(kind, learned, choose_model(tried, grid, log))
+        models[kind] = tried[name_of(kind, better.in_filter.value)]
     return models
 
 

@@ -1,9 +1,10 @@
 """Choose a model for our own filter by a log, and judge it on others: ``python benchmarks/model_choice.py [FOLDER]``.
 
 FOLDER holds logs and maps (default: ../shared/data beside the checkout). They are other people's data and not part of
-this repository. Both models, with their exponents, are learned from one drive, on which `choose_model` runs the filter;
-then it runs on another drive, or on another part of the log. In simulated drives (three offices, and the maps, sensors
-and changes of ``other_maps.py``) the first one has no poses: they are fitted, as the command does it.
+this repository. Both models are learned from one drive, each with the exponents of drives and of single scans (errors:
+the one / the other), and `choose_model` runs the filter on it; then it runs on another drive, or on another part of the
+log. In simulated drives (three offices, and the maps, sensors and changes of ``other_maps.py``) the first one has no
+poses: they are fitted, as the command does it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.context.exponent import learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
+from beamfield.cli.calibrate_choice import BEAM, FIELD, models_to_try, name_of, with_better_exponent
 from beamfield.cli.calibrate_exponent import N_BEAMS
 from beamfield.errors import BeamfieldError
 from beamfield.io.read_map import read_map
@@ -30,7 +32,6 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.solids import hollowed
 from beamfield.models.beam import BeamModel
 from beamfield.models.gaussian_motion import USUAL_MOTION
-from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
@@ -39,7 +40,10 @@ from other_maps import MAPS, SENSORS, changed_map, drive
 from real_logs import read_log_and_map
 from tables import print_table
 
-FIELD, BEAM = "field", "beam model"
+KINDS = FIELD, BEAM
+ALWAYS_FIELD, ALWAYS_BEAM, NATS, OF_DRIVES, REPLAY = (
+    "always the field", "always the beam model", "more nats per held-out drive", "replay, exponents of drives", "replay"
+)  # fmt: skip
 SEEDS = 4
 
 
@@ -96,49 +100,54 @@ def rows(case: Case) -> list[dict[str, Any]]:
         parameters = calibrate(log, grid, CalibrationOptions(refine=False)).parameters
         counting = learn_exponent(BeamModel(grid, parameters, n_beams=N_BEAMS), log, grid, reference_error=error)
         field = learn_field_parameters(log, grid, reference_error=error)
-        models: dict[str, Any] = {
-            FIELD: LikelihoodFieldModel(grid, field.parameters, n_beams=field.n_beams, exponent=field.exponent),
-            BEAM: BeamModel(grid, parameters, n_beams=counting.n_beams, exponent=counting.drive.value),
-        }
-        choice = choose_model(models, grid, log)
+        assert field.exponents is not None
+        learned = {FIELD: field.exponents, BEAM: counting}
+        models = models_to_try(grid, parameters, counting, field)
+        tried = choose_model(models, grid, log)
     except BeamfieldError as problem:
         return [{"learned from": case.name, "chosen": f"nothing: {str(problem)[:60]}"}]
-    assert field.exponents is not None
+    of_drives = {kind: name_of(kind, exponents.drive.value) for kind, exponents in learned.items()}
+    taken = {kind: name_of(kind, with_better_exponent(kind, exponents, tried).in_filter.value)
+             for kind, exponents in learned.items()}  # fmt: skip
+    there = {name: trials.mean("mean") for name, trials in tried.trials.items()}
     made = []
     for name, other in case.others.items():
         errors = {
-            kind: float(np.mean([run.mean for run in followed(ScanLocalizer(grid, model, USUAL_MOTION), other, SEEDS)]))
-            for kind, model in models.items()
+            which: float(
+                np.mean([run.mean for run in followed(ScanLocalizer(grid, model, USUAL_MOTION), other, SEEDS)])
+            )
+            for which, model in models.items()
+        }
+        by_rule = {
+            ALWAYS_FIELD: of_drives[FIELD],
+            ALWAYS_BEAM: of_drives[BEAM],
+            NATS: of_drives[max(KINDS, key=lambda kind: learned[kind].drive.score)],
+            OF_DRIVES: min(of_drives.values(), key=there.__getitem__),
+            REPLAY: min(taken.values(), key=there.__getitem__),
         }
         made.append({
             "learned from": case.name,
-            **{f"nats, {kind}": round(score, 1) for kind, score in
-               ((FIELD, field.exponents.drive.score), (BEAM, counting.drive.score))},
-            **{f"error there, {kind} [m]": round(trials.mean("mean"), 3) for kind, trials in choice.trials.items()},
-            "chosen": choice.best,
+            **{f"error there, {kind} [m]": of_both(kind, there) for kind in KINDS},
+            "chosen": by_rule[REPLAY],
             "judged on": name,
-            **{f"error, {kind} [m]": round(value, 3) for kind, value in errors.items()},
-            "times the better one's": round(errors[choice.best] / min(errors.values()), 2),
+            **{f"error, {kind} [m]": of_both(kind, errors) for kind in KINDS},
+            **{rule: round(errors[which] / min(errors.values()), 2) for rule, which in by_rule.items()},
         })  # fmt: skip
     return made
 
 
+def of_both(kind: str, errors: Mapping[str, float]) -> str:
+    """Return the errors with both exponents of a model."""
+    return " / ".join(f"{error:.3f}" for name, error in errors.items() if name.startswith(kind))
+
+
 def factors(table: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return how many times the better model's error each rule makes: in the geometric mean, and at worst."""
-    judged = [row for row in table if "judged on" in row]
-    better = np.array([min(row[f"error, {kind} [m]"] for kind in (FIELD, BEAM)) for row in judged])
-    rules = {
-        "always the field": [FIELD] * len(judged),
-        "always the beam model": [BEAM] * len(judged),
-        "more nats per held-out drive": [FIELD if row[f"nats, {FIELD}"] > row[f"nats, {BEAM}"] else BEAM
-                                         for row in judged],
-        "replay in the filter": [row["chosen"] for row in judged],
-    }  # fmt: skip
+    """Return how many times the best one's error each rule makes: in the geometric mean, and at worst."""
     found = []
-    for rule, chosen in rules.items():
-        times = np.array([row[f"error, {kind} [m]"] for row, kind in zip(judged, chosen, strict=True)]) / better
+    for rule in (ALWAYS_FIELD, ALWAYS_BEAM, NATS, OF_DRIVES, REPLAY):
+        times = np.array([row[rule] for row in table if "judged on" in row])
         found.append({
-            "rule": rule, "drives": len(judged), "times the better one's error": round(np.exp(np.log(times).mean()), 3),
+            "rule": rule, "drives": len(times), "times the best one's error": round(np.exp(np.log(times).mean()), 3),
             "at worst": round(times.max(), 2),
         })  # fmt: skip
     return found

@@ -110,9 +110,10 @@ class TestResult:
         document = json.loads((out / "calibration.json").read_text())["independent_beams"]
         saved = read_beam_model(out / "beam_model.yaml")
         assert (saved.n_beams, document["n_beams"], document["beams_of_scan"]) == (30, 30, 61)
-        assert saved.exponent == pytest.approx(document["drive"]["value"], rel=5e-6)
+        taken = "single" if document["single_in_filter"] else "drive"
+        assert saved.exponent == pytest.approx(document[taken]["value"], rel=5e-6)
         assert saved.single_scan_exponent == pytest.approx(document["single"]["value"], rel=5e-6)
-        assert 0.0 < saved.exponent < saved.single_scan_exponent < 1.0
+        assert 0.0 < document["drive"]["value"] < saved.single_scan_exponent < 1.0
         assert document["independent_beams"] == pytest.approx(30 * saved.single_scan_exponent, rel=5e-6)
         said = f"A scan of 61 beams is worth about {document['independent_beams']:.2g} independent ones"
         page = (out / "report.html").read_text()
@@ -127,6 +128,13 @@ class TestResult:
         # The map is right: the beam model knows which side of a wall it sees.
         assert runs["beam_model.yaml"]["mean"] < runs["likelihood_field.yaml"]["mean"] < 0.1
         assert [one["lost"] for one in runs.values()] == [0, 0]
+        # Each file has the exponent with which its model errs less; the surer one only if that is by 5%.
+        tried = document["tried"]
+        for file, read in (("beam_model.yaml", read_beam_model), ("likelihood_field.yaml", read_likelihood_field)):
+            of_drives, of_scans = (name for name in tried if name.startswith(file))
+            better = of_scans if tried[of_scans]["mean"] < 0.95 * tried[of_drives]["mean"] else of_drives
+            assert better == f"{file}, exponent {read(out / file).exponent:.3g}"
+            assert runs[file] == tried[better]
         assert document["best"] == "beam_model.yaml"
         said = "Localize with beam_model.yaml: in beamfield&#x27;s own filter it errs least on this log."
         page = (out / "report.html").read_text()
@@ -177,8 +185,7 @@ def test_what_is_found_of_the_field_is_among_the_main_findings_and_in_the_verdic
     world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     def doubtful(*given):
-        part, field = learn_field(*given)
-        return replace(part, findings=(Finding("field-says-nothing", "warning", "No better."),)), field
+        return replace(learn_field(*given), findings=(Finding("field-says-nothing", "warning", "No better."),))
 
     monkeypatch.setattr("beamfield.cli.calibrate_sensor.learn_field", doubtful)
     assert calibrate(world, tmp_path / "out", "--no-refine", quiet=False) == 3

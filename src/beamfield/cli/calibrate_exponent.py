@@ -21,17 +21,15 @@ N_BEAMS = 30
 
 def learn_beam_exponent(
     job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration
-) -> tuple[ReportPart, ExponentLearning | None]:
-    """Learn the exponent of the beam model from the log and the map that its parameters were learned from."""
+) -> ExponentLearning | TooLittleDataError:
+    """Learn the exponents of the beam model from the log and map of its parameters, or return why not."""
     from beamfield.calibration.context.exponent import learn_exponent
     from beamfield.models.sonar import model_of_sensor
-    from beamfield.report.exponent_section import ANCHOR, TITLE, exponent_as_dict, exponent_section, exponent_table
-    from beamfield.report.page_section import PageSection
 
     job.progress("learning how much beams count", 0, 1)
     unknown: Literal["free", "occupied"] = "occupied" if result.options.unknown == "occupied" else "free"
     try:
-        learned = learn_exponent(
+        return learn_exponent(
             model_of_sensor(sensor.finder)(grid, result.parameters, n_beams=N_BEAMS, unknown=unknown),
             sensor,
             grid,
@@ -41,8 +39,17 @@ def learn_beam_exponent(
             seed=job.arguments.seed,
         )
     except TooLittleDataError as error:
-        why = str(error)
+        return error
+
+
+def exponent_part(learned: ExponentLearning | TooLittleDataError) -> ReportPart:
+    """Return what is said of the exponents."""
+    from beamfield.report.exponent_section import ANCHOR, TITLE, exponent_as_dict, exponent_section, exponent_table
+    from beamfield.report.page_section import PageSection
+
+    if isinstance(learned, TooLittleDataError):
+        why = str(learned)
         table = f"how many independent beams a scan is worth was not learned: {why}"
         section = PageSection.without(ANCHOR, TITLE, f"Not learned: {why}.")
-        return ReportPart(NAME, table, {"missing": why}, section), None
-    return ReportPart(NAME, exponent_table(learned), exponent_as_dict(learned), exponent_section(learned)), learned
+        return ReportPart(NAME, table, {"missing": why}, section)
+    return ReportPart(NAME, exponent_table(learned), exponent_as_dict(learned), exponent_section(learned))

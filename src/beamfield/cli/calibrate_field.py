@@ -20,19 +20,15 @@ NAME = "likelihood_field"
 
 def learn_field(
     job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration
-) -> tuple[ReportPart, FieldLearning | None]:
-    """Learn the likelihood field from the log and the map that the beam model was learned from."""
+) -> FieldLearning | TooLittleDataError:
+    """Learn the likelihood field from the log and the map that the beam model was learned from, or return why not."""
     from beamfield.calibration.field.learning import learn_field_parameters
     from beamfield.maps.solids import hollowed
-    from beamfield.report.as_json import plain
-    from beamfield.report.field_section import ANCHOR, TITLE, field_section, field_tables
-    from beamfield.report.page_section import PageSection
-    from beamfield.report.results import field_text
 
     job.progress("learning the likelihood field", 0, 1)
     try:
         # As `localize` takes it.
-        learned = learn_field_parameters(
+        return learn_field_parameters(
             sensor,
             hollowed(grid),
             beam_parameters=result.parameters,
@@ -42,12 +38,22 @@ def learn_field(
             seed=job.arguments.seed,
         )
     except TooLittleDataError as error:
-        why = str(error)
+        return error
+
+
+def field_part(job: CalibrationJob, learned: FieldLearning | TooLittleDataError) -> ReportPart:
+    """Return the file of the likelihood field, and what is said of it."""
+    from beamfield.report.as_json import plain
+    from beamfield.report.field_section import ANCHOR, TITLE, field_section, field_tables
+    from beamfield.report.page_section import PageSection
+    from beamfield.report.results import field_text
+
+    if isinstance(learned, TooLittleDataError):
+        why = str(learned)
         section = PageSection.without(ANCHOR, TITLE, f"Not learned: {why}.")
-        return ReportPart(NAME, f"no likelihood field: {why}", {"missing": why}, section), None
+        return ReportPart(NAME, f"no likelihood field: {why}", {"missing": why}, section)
     text = field_text(learned, provenance=job.origin)
-    part = ReportPart(
+    return ReportPart(
         NAME, field_tables(learned, width=line_width()), plain(learned), field_section(learned, text),
         {f"{NAME}.yaml": text}, learned.findings,
     )  # fmt: skip
-    return part, learned

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import CrossFitMaps, build_cross_fit_maps
 from beamfield.cli.calibrate_choice import choose_own_model
-from beamfield.cli.calibrate_exponent import learn_beam_exponent
-from beamfield.cli.calibrate_field import learn_field
+from beamfield.cli.calibrate_exponent import exponent_part, learn_beam_exponent
+from beamfield.cli.calibrate_field import field_part, learn_field
 from beamfield.cli.calibrate_fitted import cross_fitted, judge_fitted, with_fitted_error
 from beamfield.cli.calibrate_odometry import learn_odometry
 from beamfield.cli.calibrate_stack import fit_for_stack, warn_if_too_short
@@ -20,7 +20,7 @@ from beamfield.cli.progress import StageProgress
 from beamfield.cli.report_part import ReportPart, StackPart
 from beamfield.cli.terminal import filled, line_width
 from beamfield.cli.wording import in_options
-from beamfield.errors import about_file
+from beamfield.errors import TooLittleDataError, about_file
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.report.as_json import calibration_as_dict, json_text
@@ -156,12 +156,13 @@ class CalibrationJob:
         result = calibrate(sensor, self.grid, self.options, covariances=covariances, progress=self.progress)
         if fitted is not None:
             result = replace(result, findings=with_map_judged(result.findings, fitted))
-        counting, exponents = learn_beam_exponent(self, sensor, self.grid, result)
+        counting = learn_beam_exponent(self, sensor, self.grid, result)
         parts = [] if fitted is None else [judge_fitted(self, fitted, self.grid, result)]
-        of_field, field = learn_field(self, sensor, self.grid, result)
-        parts += [counting, of_field]
-        choice = choose_own_model(self, sensor, self.grid, result, exponents, field)
-        parts += [] if choice is None else [choice]
+        field = learn_field(self, sensor, self.grid, result)
+        choice = choose_own_model(self, sensor, self.grid, result, counting, field)
+        if choice is not None:
+            counting, field = choice.counting, choice.field
+        parts += [exponent_part(counting), field_part(self, field), *([] if choice is None else [choice.part])]
         found = [finding for part in parts for finding in part.findings]
         result = replace(result, findings=(*result.findings, *found))
         motion: dict[str, Any] = {}
@@ -171,7 +172,7 @@ class CalibrationJob:
         if self.arguments.stack is not None:
             # Another program sees whole scans.
             parts.append(fit_for_stack(self, whole, self.grid, result, motion))
-        return self.grid, result, exponents, parts
+        return self.grid, result, None if isinstance(counting, TooLittleDataError) else counting, parts
 
 
 def _table(result: Calibration, parts: Sequence[ReportPart]) -> str:

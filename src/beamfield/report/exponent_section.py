@@ -49,6 +49,13 @@ def exponent_sentence(learned: ExponentLearning) -> str:
     return said
 
 
+def taken_sentence(learned: ExponentLearning) -> str:
+    """Return which exponent a filter takes, if it is not that of drives."""
+    if not learned.single_in_filter:
+        return ""
+    return " The file gives a filter the exponent of one scan, too: with it, ours errs less on this log."
+
+
 def exponent_section(learned: ExponentLearning) -> PageSection:
     """Return the section of the report."""
     markup = (
@@ -56,7 +63,8 @@ def exponent_section(learned: ExponentLearning) -> PageSection:
         f"<p>For the beam model with {learned.n_beams} beams of each scan. Neighbouring beams err together: each "
         "beam's value to the power of the exponent makes posteriors around the reference poses whose 90% regions "
         "hold the truth in 90% of the cases. Covered: the share on held-out blocks of time. Nats: mean logarithm of "
-        "the posterior's density at the truth over the prior's; 0 says nothing, far below 0 is certain and wrong.</p>"
+        "the posterior's density at the truth over the prior's; 0 says nothing, far below 0 is certain and wrong."
+        f"{taken_sentence(learned)}</p>"
     )
     return PageSection(ANCHOR, TITLE, markup, folded=True)
 

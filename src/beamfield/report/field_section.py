@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 from beamfield.calibration.field.learning import FieldLearning, FieldScore
 from beamfield.report.escape import escaped
+from beamfield.report.exponent_section import taken_sentence
 from beamfield.report.page import fold, table
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned, interval_text, plus_minus
@@ -39,7 +40,8 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
         f"<p>For <code>LikelihoodFieldModel</code> with {learned.n_beams} beams of each scan. z_hit, z_rand and "
         "sigma_hit make the readings most likely along the axes of their beams; without the reference poses' error "
         f"sigma_hit is {learned.density_sigma:.4g} m. With the exponents, the 90% regions of posteriors around the "
-        f"reference poses hold the truth in 90% of the cases: of drives of some scans, and of single scans.</p>"
+        "reference poses hold the truth in 90% of the cases: of drives of some scans, and of single scans."
+        f"{'' if learned.exponents is None else taken_sentence(learned.exponents)}</p>"
         f"{fold('How well it does on held-out blocks', _scores(learned))}"
         f"{fold('The file likelihood_field.yaml', f'<pre>{escaped(file_text)}</pre>')}"
     )

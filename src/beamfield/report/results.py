@@ -90,7 +90,7 @@ def calibration_text(
     return beam_model_text(
         result.parameters,
         result.finder,
-        exponent=exponent.drive.value,
+        exponent=exponent.in_filter.value,
         single_scan_exponent=exponent.single.value,
         n_beams=exponent.n_beams,
         intervals=intervals | exponent_intervals(exponent),
@@ -100,7 +100,7 @@ def calibration_text(
 
 def exponent_intervals(learned: ExponentLearning) -> dict[str, tuple[float, float]]:
     """Return the intervals of both exponents by their names in files."""
-    return {"exponent": learned.drive.interval, "single_scan_exponent": learned.single.interval}
+    return {"exponent": learned.in_filter.interval, "single_scan_exponent": learned.single.interval}
 
 
 def field_summary(result: FieldLearning) -> str:

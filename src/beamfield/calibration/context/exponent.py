@@ -88,6 +88,8 @@ class ExponentLearning:
         Scans of a drive.
     reference_error
         How wrong the reference poses may be, metres: no posterior is taken to be surer than they are.
+    single_in_filter
+        Whether a filter is to take that of single scans, too: with it, ours errs less on the log.
     """
 
     drive: LearnedExponent
@@ -96,6 +98,12 @@ class ExponentLearning:
     beams_of_scan: int
     n_scans: int
     reference_error: float
+    single_in_filter: bool = False
+
+    @property
+    def in_filter(self) -> LearnedExponent:
+        """The one that files hold for a filter."""
+        return self.single if self.single_in_filter else self.drive
 
     @property
     def independent_beams(self) -> float:

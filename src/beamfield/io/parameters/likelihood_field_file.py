@@ -15,7 +15,7 @@ HEADER = """\
 # An interval of null: the log does not determine that parameter.
 # sigma_hit in metres, z_hit + z_rand <= 1. Each beam's value counts to the power of exponent, with n_beams beams of a
 # scan, in a filter, which multiplies the values of scan after scan: each is worth about exponent * n_beams independent
-# beams. One scan on its own is worth more, single_scan_exponent * n_beams.
+# beams. One scan on its own is worth as much or more, single_scan_exponent * n_beams.
 # max_range is the range in metres from which a reading means "no return"; readings below min_range are dropped.
 """
 PARAMETERS = ("z_hit", "z_rand", "sigma_hit")

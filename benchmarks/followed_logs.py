@@ -56,14 +56,8 @@ def model_of(kind: str, grid: OccupancyGrid, exponent: float) -> Any:
     return LikelihoodFieldModel(hollowed(grid), field, n_beams=DEFAULT_BEAMS, exponent=exponent)
 
 
-def typical_exponent(kind: str) -> float:
-    """Return the exponent of a model without a file."""
-    return INDEPENDENT_BEAMS["beam" if kind == "beam model" else "likelihood_field"] / DEFAULT_BEAMS
-
-
-def localizer_of(kind: str, grid: OccupancyGrid, exponent: float | None = None) -> ScanLocalizer:
+def localizer_of(kind: str, grid: OccupancyGrid, exponent: float = INDEPENDENT_BEAMS / DEFAULT_BEAMS) -> ScanLocalizer:
     """Return the filter as the command makes it."""
-    exponent = typical_exponent(kind) if exponent is None else exponent
     return ScanLocalizer(grid, model_of(kind, grid, exponent), USUAL_MOTION)
 
 

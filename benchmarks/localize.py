@@ -25,7 +25,7 @@ from beamfield.calibration.calibrate import calibrate
 from beamfield.calibration.context.exponent import learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
 from beamfield.cli.calibrate_choice import name_of, with_better_exponent
-from beamfield.cli.localize import INDEPENDENT_BEAMS
+from beamfield.cli.localize import DEFAULT_BEAMS, INDEPENDENT_BEAMS
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.kernels.threads import set_threads
 from beamfield.localization.coarse_model import CoarseModel
@@ -54,7 +54,6 @@ from followed_logs import (
     model_of,
     numbers,
     offices,
-    typical_exponent,
 )
 from half_maps import ByOtherMap, HalfMaps, half_maps
 from real_logs import read_log_and_map
@@ -167,7 +166,7 @@ def elsewhere(folder: Path, seeds: int) -> list[dict[str, Any]]:
 
 def by_other_map(maps: HalfMaps) -> tuple[SensorLog, ScanLocalizer]:
     """Return a log and the filter as the command makes it, but for maps that no scan has a part in."""
-    model = ByOtherMap(maps, partial(model_of, "likelihood field", exponent=typical_exponent("likelihood field")))
+    model = ByOtherMap(maps, partial(model_of, "likelihood field", exponent=INDEPENDENT_BEAMS / DEFAULT_BEAMS))
     return maps.log, ScanLocalizer(maps.grids[1], model, USUAL_MOTION, coarse=ByOtherMap(maps, CoarseModel))
 
 
@@ -233,10 +232,10 @@ def rival(folder: Path, seeds: int) -> list[dict[str, Any]]:
     learned = learned_models(folder)
     models = {
         "field, learned": learned["likelihood field"],
-        "field, typical": model_of("likelihood field", grid, typical_exponent("likelihood field")),
+        "field, typical": model_of("likelihood field", grid, INDEPENDENT_BEAMS / DEFAULT_BEAMS),
         "coarse": CoarseModel(grid),
         "beam model, learned": learned["beam model"],
-        "beam model, typical": model_of("beam model", grid, typical_exponent("beam model")),
+        "beam model, typical": model_of("beam model", grid, INDEPENDENT_BEAMS / DEFAULT_BEAMS),
     }
     rows = []
     for name, model in models.items():
@@ -329,7 +328,7 @@ def with_averages(localizer: ScanLocalizer) -> ScanLocalizer:
     options = FilterOptions(
         n_particles=50_000,
         kld=KldSampling(least=localizer.options.n_particles),
-        recovery=Recovery(readings=INDEPENDENT_BEAMS["likelihood_field"]),
+        recovery=Recovery(readings=INDEPENDENT_BEAMS),
     )
     # A scan that helped to draw a map may propose poses by that map.
     source = PosesFromScan(localizer.grid, localizer_of("likelihood field", localizer.grid).model)

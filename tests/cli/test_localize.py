@@ -359,12 +359,11 @@ def test_a_scan_is_worth_what_the_file_says_however_many_beams_are_used():
 
     saved = Namespace(n_beams=20, exponent=0.2)
     given = Namespace(beams=None, exponent=None)
-    assert _counting(saved, "beam", 61, given) == {"n_beams": 20, "exponent": 0.2}
-    assert _counting(saved, "beam", 61, Namespace(beams=40, exponent=None)) == {"n_beams": 40, "exponent": 0.1}
-    assert _counting(saved, "beam", 61, Namespace(beams=0, exponent=0.5)) == {"n_beams": 61, "exponent": 0.5}
-    assert _counting(None, "beam", 30, given) == {"n_beams": 30, "exponent": INDEPENDENT_BEAMS["beam"] / 30}
-    assert _counting(None, "likelihood_field", 30, given) == {"n_beams": 30, "exponent": 0.2}
-    assert _counting(Namespace(n_beams=None, exponent=1.0), "beam", 30, given) == _counting(None, "beam", 30, given)
-    assert _counting(None, "beam", 1, given)["exponent"] == 1.0
+    assert _counting(saved, 61, given) == {"n_beams": 20, "exponent": 0.2}
+    assert _counting(saved, 61, Namespace(beams=40, exponent=None)) == {"n_beams": 40, "exponent": 0.1}
+    assert _counting(saved, 61, Namespace(beams=0, exponent=0.5)) == {"n_beams": 61, "exponent": 0.5}
+    assert _counting(None, 30, given) == {"n_beams": 30, "exponent": INDEPENDENT_BEAMS / 30}
+    assert _counting(Namespace(n_beams=None, exponent=1.0), 30, given) == _counting(None, 30, given)
+    assert _counting(None, 1, given)["exponent"] == 1.0
     # An exponent alone counts for all beams.
-    assert _counting(Namespace(n_beams=None, exponent=0.02), "beam", 30, given) == {"n_beams": 30, "exponent": 0.02}
+    assert _counting(Namespace(n_beams=None, exponent=0.02), 30, given) == {"n_beams": 30, "exponent": 0.02}

@@ -46,9 +46,9 @@ if TYPE_CHECKING:
 # Without --params: a laser scanner in a building with a few people.
 DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.15, "lambda_short": 0.4}
 DEFAULT_BEAMS = 60
-# What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike,
-# where a map is wrong most of all by ray casting. Measured in docs/evidence/localization.md.
-INDEPENDENT_BEAMS = {"likelihood_field": 6.0, "beam": 1.8}
+# What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
+# Measured in docs/evidence/localization.md.
+INDEPENDENT_BEAMS = 1.8
 PARTICLES = 2000
 
 # Findings after which the poses are not to be trusted.
@@ -85,9 +85,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                        help=f"beams of a scan that count, equally spaced; 0: all (default: {DEFAULT_BEAMS}, or as the "
                        "file says)")  # fmt: skip
     group.add_argument("--exponent", type=positive, metavar="E",
-                       help="power of each beam's likelihood (default: "
-                       f"{INDEPENDENT_BEAMS['likelihood_field']:g} / beams for a likelihood field, "
-                       f"{INDEPENDENT_BEAMS['beam']:g} / beams for the beam model, or as the file says)")  # fmt: skip
+                       help=f"power of each beam's likelihood (default: {INDEPENDENT_BEAMS} / beams, or as "
+                       "the file says)")  # fmt: skip
     group.add_argument("--odometry-error", type=positive, metavar="K",
                        help="the odometry errs K times as much as usual (default: 1)")  # fmt: skip
     group.add_argument("--leave-out-short", action="store_true", help="leave out readings that are likely of people")
@@ -254,7 +253,7 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     if arguments.params is not None:
         read: Any = inputs.read_field_or_beam_model if is_field else read_beam_model
         saved = read(arguments.params)
-    how = _counting(saved, "likelihood_field" if is_field else "beam", log.finder.n_beams, arguments)
+    how = _counting(saved, log.finder.n_beams, arguments)
     table = inputs.read_range_table(arguments, grid, log.finder)
     parameters: Any = BeamParameters(**DEFAULTS) if saved is None else saved.parameters
     if not is_field:
@@ -267,9 +266,9 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     return LikelihoodFieldModel(hollowed(grid), parameters, **how), notes
 
 
-def _counting(saved: Any, kind: str, n_in_scan: int, arguments: argparse.Namespace) -> dict[str, Any]:
+def _counting(saved: Any, n_in_scan: int, arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the number of beams and the exponent: a scan is worth as much, however many of its beams are used."""
-    n_beams, worth = DEFAULT_BEAMS, INDEPENDENT_BEAMS[kind]
+    n_beams, worth = DEFAULT_BEAMS, INDEPENDENT_BEAMS
     if saved is not None and (saved.n_beams is not None or saved.exponent != 1.0):
         n_beams = saved.n_beams or n_in_scan
         worth = saved.exponent * min(n_beams, n_in_scan)

@@ -312,6 +312,24 @@ def test_the_likelihood_and_its_derivatives_are_those_of_normals():
     assert (slope[inside] >= -1e-6).all()
 
 
+def test_noise_shows_in_few_windows_though_others_have_none():
+    # The median window is explained by the reference's error alone, as in logs of every scan.
+    rng = np.random.default_rng(8)
+    reference = np.broadcast_to(1e-4 * np.eye(3), (200, 3, 3))
+    residuals = 0.005 * rng.standard_normal((200, 3))
+    residuals[::8, 2] = 0.15 * rng.standard_normal(25)
+    units = np.zeros((2, 200, 3, 3))
+    units[0, :, :2, :2], units[1, :, 2, 2] = np.eye(2), 1.0
+
+    def mean_log_density(levels: FloatArray) -> float:
+        covariances = reference + np.tensordot(levels, units, 1)
+        return float(np.mean([multivariate_normal(np.zeros(3), c).logpdf(r) for c, r in zip(covariances, residuals)]))
+
+    best = fit_levels(residuals, reference, units)
+    others = [np.array([1e-7, 10.0**power]) for power in np.arange(-5.0, 0.0, 0.25)]
+    assert mean_log_density(best) >= max(map(mean_log_density, others)) - 1e-6
+
+
 def test_updates_are_those_of_amcl():
     odometry = np.zeros((7, 3))
     odometry[:, 0] = [0.0, 0.1, 0.26, 0.3, 0.3, 0.3, 0.5]

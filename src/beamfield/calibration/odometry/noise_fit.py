@@ -42,7 +42,15 @@ def fit_levels(
     for _ in range(MOST_STEPS):
         levels = np.exp(at)
         slope, curvature = gradient * levels, information * np.outer(levels, levels)
-        step = -np.linalg.solve(curvature + 1e-6 * np.trace(curvature) * np.eye(len(at)), slope)
+        # A level that would leave the range at its end takes no part: its long step would shorten all others. Nor does
+        # one that no window shows.
+        leaves = ((at <= low) & (slope > 0.0)) | ((at >= high) & (slope < 0.0))
+        free = (curvature.diagonal() > 0.0) & ~leaves
+        if not free.any():
+            break
+        curvature = curvature[np.ix_(free, free)]
+        step = np.zeros(len(at))
+        step[free] = -np.linalg.solve(curvature + 1e-6 * np.trace(curvature) * np.eye(len(curvature)), slope[free])
         step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
         for _ in range(20):
             there = np.clip(at + step, low, high)

@@ -1,8 +1,8 @@
 """Logs without a map of their own, replayed so that no scan meets a map that it helped to draw.
 
 Stretches of 5 m draw two maps in turn, and each scan is weighed by the other's map. Poses were corrected by SLAM.
-fr079's odometry loses its sign when the robot backs up; it has it from the corrected poses here. Belgioioso's log has
-no odometry: it is drawn about the corrected poses.
+fr079's odometry loses its sign when the robot backs up; it has it from the corrected poses here. Logs that have no
+odometry have it drawn about the corrected poses.
 """
 
 from __future__ import annotations
@@ -37,13 +37,16 @@ LOGS: dict[str, Callable[[Path], SensorLog]] = {
 # To be found in, from anywhere.
 MORE_LOGS: dict[str, Callable[[Path], SensorLog]] = {
     **LOGS,
-    "Belgioioso": lambda folder: with_drawn_odometry(
-        read_log(folder / "carmen_radish_corrected/belgioioso-corrected.log.gz").only_sensor()
-    ),
+    "Belgioioso": lambda folder: with_drawn_odometry(corrected(folder, "belgioioso")),
     "real Pioneer": lambda folder: attach_poses(
         read_log(folder / "uob_pioneer_real/trace1.bag"),
         read_trajectory(folder / "uob_pioneer_real/derived_amcl_poses_trace1.csv.gz"),
     ).only_sensor(),
+}
+# How a program's filter is calibrated was not decided with these in sight.
+OTHER_LOGS: dict[str, Callable[[Path], SensorLog]] = {
+    name: lambda folder, name=name: with_drawn_odometry(corrected(folder, name))
+    for name in ("aces", "edmonton", "fhw", "acapulco", "infinite-corridor", "freiburg-campus")
 }
 
 
@@ -64,11 +67,16 @@ class HalfMaps(NamedTuple):
 
 def half_maps(folder: Path, name: str) -> HalfMaps:
     """Draw the maps of a log, with cells of 5 cm."""
-    log = MORE_LOGS[name](folder)
+    log = (MORE_LOGS | OTHER_LOGS)[name](folder)
     way = np.append(0.0, np.cumsum(np.hypot(*np.diff(log.poses[:, :2], axis=0).T)))
     half = (way // GROUP).astype(np.int64) % 2
     first, second = (build_map(log, resolution=0.05, scans=half == i) for i in (0, 1))
     return HalfMaps(log, half, (first, second))
+
+
+def corrected(folder: Path, name: str) -> SensorLog:
+    """Return the first laser of a log whose poses SLAM has corrected."""
+    return read_log(folder / f"carmen_radish_corrected/{name}-corrected.log.gz").only_sensor()
 
 
 def with_drawn_odometry(log: SensorLog) -> SensorLog:

@@ -3,7 +3,8 @@
 FOLDER holds the logs and maps (default: ../shared/data beside the checkout): other people's data, no part of this
 repository. Fitted to Wean Hall 1 alone and evaluated on 1, 3 and 5; simulated Pioneer and TurtleBot 4 are evaluated on
 the log they were fitted to; intel, fr079 and csail on the second half of the way, chosen by the first, with maps that
-no scan helped to draw (``half_maps``). ``--stack``, ``--model``, ``--sets wean,tb4,stage`` and ``--seeds N`` do a part.
+no scan helped to draw (``half_maps``). ``--stack``, ``--model``, ``--sets wean,tb4,stage`` and ``--seeds N`` do a part;
+``--sets others`` does the same for six more logs, with drawn odometry.
 
 The filter is the stack's own, emulated, over whole logs from one start 0.5 m and 15 degrees wide.
 """
@@ -32,7 +33,7 @@ from beamfield.stacks.fit.replay_choice import ReplayChoice, choose_by_replay
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.stack import FIELD_PRODUCT
-from half_maps import LOGS, HalfMaps, HalfMapSettings, half_maps
+from half_maps import LOGS, OTHER_LOGS, HalfMaps, HalfMapSettings, half_maps
 from real_logs import read_log_and_map
 from stack_fit import REFERENCE_ERROR, SETS
 from tables import print_table
@@ -57,8 +58,8 @@ class Place:
 
 
 def read_place(folder: Path, name: str) -> Place:
-    """Return one of `SETS` or of `LOGS`."""
-    if name in LOGS:
+    """Return one of `SETS`, `LOGS` or `OTHER_LOGS`."""
+    if name not in SETS:
         maps = half_maps(folder, name)
         half = len(maps.log) // 2
         others = {f"{name}, second half": maps.log[half:]}
@@ -139,7 +140,8 @@ def main() -> None:
         "--any-model", action="store_true", help="let replay choose a field's product, too, as --patch does"
     )
     given = parser.parse_args()
-    places = (read_place(given.folder, name) for name in given.sets.split(","))
+    names = OTHER_LOGS if given.sets == "others" else given.sets.split(",")
+    places = (read_place(given.folder, name) for name in names)
     print_table([
         row for place in places for row in rows(place, given.stack, given.model, given.seeds, any_model=given.any_model)
     ])  # fmt: skip

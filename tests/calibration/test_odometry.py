@@ -322,8 +322,8 @@ def test_noise_shows_in_few_windows_though_others_have_none():
     units[0, :, :2, :2], units[1, :, 2, 2] = np.eye(2), 1.0
 
     def mean_log_density(levels: FloatArray) -> float:
-        covariances = reference + np.tensordot(levels, units, 1)
-        return float(np.mean([multivariate_normal(np.zeros(3), c).logpdf(r) for c, r in zip(covariances, residuals)]))
+        windows = zip(residuals, reference + np.tensordot(levels, units, 1), strict=True)
+        return float(np.mean([multivariate_normal(np.zeros(3), covariance).logpdf(off) for off, covariance in windows]))
 
     best = fit_levels(residuals, reference, units)
     others = [np.array([1e-7, 10.0**power]) for power in np.arange(-5.0, 0.0, 0.25)]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from beamfield.localization.replay import PoseBelief
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.stacks.beluga.models import BelugaField, BelugaFieldProb
+from beamfield.stacks.emulation.emulator import FieldModel
 from beamfield.stacks.filters import amcl_filter
 from beamfield.stacks.filters.amcl_filter import BINS, AmclFilterParameters, as_wrapped_rotations
 from beamfield.stacks.filters.histogram import Histogram, kld_limits
@@ -159,6 +162,19 @@ def test_weights_looked_up_by_cell_are_those_of_the_model(name, rng):
     poses = np.array([0.5, 1.2, 0.0]) + rng.normal(0.0, [0.8, 0.7, 2.0], (200, 3))
     scan = small_scan(special=True)
     np.testing.assert_allclose(ScanWeights(model)(scan, poses), model.log_likelihood(scan, poses), rtol=1e-12)
+
+
+def test_filters_share_what_the_cells_of_a_map_add(monkeypatch):
+    made, model, scan, poses = [], Nav2Field(small_room(), Nav2Parameters()), small_scan(), np.array([[1.0, 1.0, 0.3]])
+    of_cells = FieldModel._cell_terms
+    monkeypatch.setattr(FieldModel, "_cell_terms", lambda self, most: made.append(self) or of_cells(self, most))
+    before = ScanWeights(model)(scan, poses)
+    assert ScanWeights(model)(scan, poses) == before
+    assert made == [model]
+    # Other parameters have terms of their own; other processes make theirs.
+    other = model.with_parameters(replace(model.parameters, z_hit=0.9))
+    assert ScanWeights(other)(scan, poses) == other.log_likelihood(scan, poses) != before
+    assert len(pickle.dumps(model)) == len(pickle.dumps(Nav2Field(small_room(), Nav2Parameters())))
 
 
 def test_beams_are_skipped_only_once_the_filter_has_converged(rng):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from beamfield.models.differential_motion import DifferentialMotion
-from beamfield.stacks.amcl.scan import amcl_grid
 from beamfield.stacks.emulation.stack_motion import StackMotion
 from beamfield.stacks.filters.amcl_filter import AmclFilter, AmclFilterParameters
 
@@ -14,6 +13,5 @@ def amcl_filter(
     model: Any, motion: StackMotion, parameters: AmclFilterParameters, *, selective_resampling: bool = False
 ) -> AmclFilter:
     """Return the filter that runs one of AMCL's models on its map, with the program's own motion; see `AmclFilter`."""
-    seen = amcl_grid(model.grid, model.map_mode)
     wraps = isinstance(motion.formula, DifferentialMotion)
-    return AmclFilter(model, seen, motion, parameters, selective_resampling, wraps)
+    return AmclFilter(model, model.seen, motion, parameters, selective_resampling, wraps)

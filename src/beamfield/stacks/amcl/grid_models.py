@@ -45,6 +45,11 @@ class GridField(FieldModel[P], Generic[P]):
     def _make_table(self) -> FieldTable:
         """Return the distances in the map as the program reads it."""
 
+    @property
+    def seen(self) -> OccupancyGrid:
+        """The map as the program reads it."""
+        return self._table.grid
+
     def with_parameters(self, parameters: P) -> Self:
         """Return the model with other parameters; its distances are made anew if these bear on them."""
         names = self._table_settings()
@@ -98,6 +103,11 @@ class GridRays(RayModel[P], Generic[P]):
     @abstractmethod
     def _read_map(self) -> tuple[OccupancyGrid, OccupancyGrid]:
         """Return the map as the program reads it, and one in which exact rays stop where its rays do."""
+
+    @property
+    def seen(self) -> OccupancyGrid:
+        """The map as the program reads it."""
+        return self._seen
 
     @abstractmethod
     def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:

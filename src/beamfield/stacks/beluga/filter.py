@@ -14,7 +14,6 @@ from beamfield.models.motion import MotionModel
 from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.beluga.clusters import heaviest_cluster
 from beamfield.stacks.emulation.parameter_checks import check_numbers, check_switches
-from beamfield.stacks.emulation.stack_map import read_as_stack
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.filters.emulated_filter import AmclParticles, EmulatedFilter
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
@@ -60,7 +59,7 @@ class BelugaFilterParameters(AmclFilterParameters):
 
 def beluga_filter(model: Any, motion: MotionModel, parameters: BelugaFilterParameters) -> BelugaFilter:
     """Return the filter that runs one of Beluga's models on its map."""
-    return BelugaFilter(model, read_as_stack(model.grid, model.map_mode), motion, parameters)
+    return BelugaFilter(model, model.seen, motion, parameters)
 
 
 @dataclass(frozen=True, eq=False)

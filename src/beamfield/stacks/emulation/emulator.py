@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -232,11 +233,30 @@ class FieldModel(StackModel[P, FieldEvidence], Generic[P]):
         ends = self.scan_ends(z)
         return self._evidence_of(ends.beams, ends.max_range, *self._table.look_up(robot, ends.points))
 
+    def with_parameters(self, parameters: P) -> Self:
+        """Return the model with other parameters; see `StackModel.with_parameters`."""
+        made = super().with_parameters(parameters)
+        made.__dict__.pop("_terms", None)
+        return made
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Other processes work out what the cells add sooner than they get it.
+        return {name: value for name, value in self.__dict__.items() if name != "_terms"}
+
+    @cached_property
+    def _terms(self) -> dict[float, CellTerms]:
+        return {}
+
     def cell_terms(self, max_range: float) -> CellTerms:
         """Return what `beam_terms` has for an end point in each cell, with the model's own parameters.
 
-        max_range is that of `scan_ends`.
+        max_range is that of `scan_ends`. It is worked out once, for all filters with this model.
         """
+        if max_range not in self._terms:
+            self._terms[max_range] = self._cell_terms(max_range)
+        return self._terms[max_range]
+
+    def _cell_terms(self, max_range: float) -> CellTerms:
         table = self._table
         distances = np.append(table.distance.ravel(), table.distance.dtype.type(np.inf))
         places = np.append(np.where(table.unknown.ravel(), UNKNOWN, KNOWN), OFF_MAP).astype(np.int8)

@@ -147,6 +147,10 @@ class _RunsOnStretches:
         self._grid, self._stretches = grid, stretches
         self._emulators: dict[tuple[str, float, str], StackModel[Any, Any]] = {}
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Other processes make models of large maps sooner than they get them.
+        return self.__dict__ | {"_emulators": {}}
+
     def __call__(self, asked: _Asked) -> ReplayTrials:
         setting, i, seeds = asked
         of = setting.sensor, setting.shift, setting.solids

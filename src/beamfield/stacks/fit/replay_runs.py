@@ -27,6 +27,8 @@ HOLLOW = "hollow"
 # A run starts as a filter that tracks, with the windows' prior, metres and radians. From nav2's 0.5 m and 15 degrees a
 # lead-in along a corridor is too short to gather particles, and errors tell of that more than of tracking.
 SPREAD = WindowOptions.spread, WindowOptions.turn_spread
+# Of all models that are kept, whose tables take some 20 bytes a cell.
+MOST_CELLS = 50_000_000
 
 
 class Key(NamedTuple):
@@ -90,7 +92,8 @@ class Replays:
     def __init__(
         self, stretches: Sequence[SensorLog], grid: OccupancyGrid, n_seeds: int, first_seed: int, kept: KeptRuns
     ) -> None:
-        self._stretches, self._grid, self._first, self._kept = stretches, grid, first_seed, kept
+        self._stretches, self._first, self._kept = stretches, first_seed, kept
+        self._run = _RunsOnStretches(grid, stretches)
         self.n_seeds = n_seeds
         self._runs: dict[Key, list[ReplayTrials]] = {}
 
@@ -105,10 +108,12 @@ class Replays:
             if (seeds := range(self._first + self._n_known(one.key), self._first + n_seeds))
             for i in range(len(self._stretches))
         ]
+        # Those with the same model one after the other: of large maps few are kept.
+        asked.sort(key=lambda one: one.model)
         found = {one: trials for one in asked if (trials := self._kept.find(one.key)) is not None}
         missing = [one for one in asked if one not in found]
         made = run_each(
-            _RunsOnStretches(self._grid, self._stretches),
+            self._run,
             missing,
             None if progress is None or not stage else partial(progress, f"replay: {stage}"),
             lambda one, trials: self._kept.keep(one.key, trials),
@@ -139,6 +144,11 @@ class _Asked(NamedTuple):
         """What tells them from others."""
         return self.stretch, self.setting.key, self.seeds
 
+    @property
+    def model(self) -> tuple[str, float, str]:
+        """What tells measurement models on their maps apart."""
+        return self.setting.sensor, self.setting.shift, self.setting.solids
+
 
 class _RunsOnStretches:
     """Makes them. A model's table of a map takes as long as a run: settings with the same sensor and map share it."""
@@ -153,10 +163,11 @@ class _RunsOnStretches:
 
     def __call__(self, asked: _Asked) -> ReplayTrials:
         setting, i, seeds = asked
-        of = setting.sensor, setting.shift, setting.solids
-        if of not in self._emulators:
-            self._emulators[of] = setting.filter.emulator(setting.map_of(self._grid))
-        replayed = setting.filter.filter_with(self._emulators[of])
+        if asked.model not in self._emulators:
+            while self._emulators and (len(self._emulators) + 1) * self._grid.probability.size > MOST_CELLS:
+                del self._emulators[next(iter(self._emulators))]
+            self._emulators[asked.model] = setting.filter.emulator(setting.map_of(self._grid))
+        replayed = setting.filter.filter_with(self._emulators[asked.model])
         return run_trials(replayed, self._stretches[i], seeds, name=f"stretch {i + 1}", spread=SPREAD)
 
 

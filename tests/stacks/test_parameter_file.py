@@ -217,8 +217,17 @@ def test_parameters_of_all_nodes_are_those_of_the_node_unless_it_has_its_own(wri
     }  # fmt: skip
     path = section.path
     write_values(section, {"z_hit": 0.5, "alpha1": 0.1, "alpha2": 0.2})
-    expected = SHARED.replace("z_hit: 0.6", "z_hit: 0.5").replace("alpha1: 0.3", "alpha1: 0.1")
-    assert path.read_text() == expected.replace("# mine\n", "# mine\n    alpha2: 0.2\n")
+    # Other nodes, such as another robot's amcl, keep what all get.
+    expected = SHARED.replace("z_hit: 0.6", "z_hit: 0.5")
+    assert path.read_text() == expected.replace("# mine\n", "# mine\n    alpha1: 0.1\n    alpha2: 0.2\n")
+    assert read_stack_file(path).section.entries["alpha1"].value == 0.1
+
+
+def test_what_comes_behind_a_node_for_all_is_changed_there_as_it_may_count(write):
+    shared, _, node = SHARED.replace("    z_hit: 0.4\n", "").partition("amcl:")
+    section = read_stack_file(write(f"amcl:{node}{shared}")).section
+    assert section.with_values({"alpha1": 0.1}) == section.text.replace("alpha1: 0.3", "alpha1: 0.1")
+    assert section.with_values({"alpha1": 0.3}) == section.text
 
 
 def test_a_nodes_section_without_parameters_of_the_laser_gets_those_of_all_nodes(write):

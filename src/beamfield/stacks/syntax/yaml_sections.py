@@ -55,7 +55,12 @@ def _with_shared(node: ParameterSection, shared: ParameterSection) -> ParameterS
     if twice and shared.line > node.line:
         # In some the node's own section counts, in others what comes last.
         raise shared.error(twice, f"is in {node.label!r}, too: which one counts depends on ROS's release, keep one")
-    return replace(node, entries={**shared.entries, **node.entries}) if node.is_ros_2 else node
+    if not node.is_ros_2:
+        return node
+    # Behind the values for all nodes a node's own counts in every release, so that theirs need not change for it.
+    is_shared = shared.line < node.line
+    given = {name: replace(entry, is_shared=is_shared) for name, entry in shared.entries.items()}
+    return replace(node, entries={**given, **node.entries})
 
 
 def _maps(values: Any, place: Place) -> Iterator[tuple[Place, dict[str, Any]]]:

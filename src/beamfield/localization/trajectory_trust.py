@@ -82,7 +82,6 @@ def judge_trajectory(
 def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> Iterator[Finding]:
     """Name the times at which the odometry was wrong: resets, slips, being carried away, gaps."""
     since = drive.stamps - drive.stamps[0]
-    yield from _scale(fitted)
     yield from _carried(drive, course, since)
     yield from _resets(drive, since)
     yield from _slips(fitted, since)
@@ -94,6 +93,18 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> Iterato
             "odometry-missing", "info" if few else "warning", f"{which} no odometry; it was interpolated.",
             {"scans": float(n_unknown)},
             why="Slips in between are not seen.", do="Record the odometry for as long as the scans.",
+        )  # fmt: skip
+
+
+def scale_finding(scale: float) -> Iterator[Finding]:
+    """Name a relative error of the odometry's distances, if it is large."""
+    if abs(scale) > SCALE:
+        yield Finding(
+            "odometry-scale", "warning",
+            f"Distances of the odometry and of scans in the map differ by {abs(scale):.1%}.", {"scale": scale},
+            why="The wheels' scale, the map's or that of the ranges is wrong; with one of the last two, so are the "
+            "poses.",
+            do="Measure a long wall, and compare it with the map and with a reading.",
         )  # fmt: skip
 
 
@@ -130,18 +141,6 @@ def _around(drive: Drive, cut: NDArray[np.bool_], poor: NDArray[np.bool_]) -> ND
             before, after = begin, min(end, last)
         around[drive.scans[before] : drive.scans[after] + 1] = True
     return around
-
-
-def _scale(fitted: Smoothed) -> Iterator[Finding]:
-    scale = float(fitted.systematic[0])
-    if abs(scale) > SCALE:
-        yield Finding(
-            "odometry-scale", "warning",
-            f"Distances of the odometry and of scans in the map differ by {abs(scale):.1%}.", {"scale": scale},
-            why="The wheels' scale, the map's or that of the ranges is wrong; with one of the last two, so are the "
-            "poses.",
-            do="Measure a long wall, and compare it with the map and with a reading.",
-        )  # fmt: skip
 
 
 def _far_from_odometry(drive: Drive) -> NDArray[np.bool_]:

@@ -147,6 +147,9 @@ def choose_course(
         equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
         if unturned is not None:
             _refuse_mirrored(log, unturned[1], search, hypotheses[0].misfit + equal)
+        elif not put_right and len(judged[0][1].jumps):
+            # In the mirrored map of a building whose two sides look alike, the robot seems to be carried between them.
+            _refuse_mirrored(log, turned[1], search, hypotheses[0].misfit - equal, MIRRORED_MAP)
         rivals = [one for one in hypotheses[1:] if is_at(one.pose, start)]
         if any(one.cost - hypotheses[0].cost < equal > one.misfit - hypotheses[0].misfit for one in rivals):
             raise TrajectoryNotFoundError(

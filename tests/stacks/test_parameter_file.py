@@ -230,6 +230,22 @@ def test_what_comes_behind_a_node_for_all_is_changed_there_as_it_may_count(write
     assert section.with_values({"alpha1": 0.3}) == section.text
 
 
+@pytest.mark.parametrize(
+    ("pattern", "node", "counts"),
+    [("/*", "amcl", True), ("/robot1/**", "/robot1/amcl", True), ("/**/amcl", "/robot1/amcl", True),
+     ("/robot2/**", "/robot1/amcl", False), ("/*", "/robot1/amcl", False), ("/robot*", "/robot1/amcl", False)],
+)  # fmt: skip
+def test_parameters_of_several_nodes_by_wildcards_are_those_of_the_nodes_they_match(write, pattern, node, counts):
+    path = write(SHARED.replace("amcl:", f"{node}:").replace("/**:", f"{pattern}:"))
+    if counts:
+        section = read_stack_file(path).section
+        assert (section.entries["z_hit"].value, section.entries["alpha1"].value) == (0.6, 0.3)
+        assert section.with_values({"alpha1": 0.1}).startswith(section.text.rstrip().rpartition("\n")[0])
+        return
+    with pytest.raises(FormatError, match="several sections have such parameters"):
+        read_stack_file(path)
+
+
 def test_a_nodes_section_without_parameters_of_the_laser_gets_those_of_all_nodes(write):
     text = SHARED.replace("    z_hit: 0.6\n    z_rand: 0.4  # mine\n", "    alpha2: 0.7\n")
     section = read_stack_file(write(text)).section

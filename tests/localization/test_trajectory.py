@@ -276,6 +276,7 @@ def test_without_odometry_scans_are_aligned_in_its_place(drive: SensorLog, offic
     log = drive.select(np.arange(30))
     fit = fit_trajectory(replace(log, odometry=np.full((30, 3), np.nan)), office, start=log.poses[0])
     assert "no-odometry" in names(fit)
+    assert "odometry   none; those of aligned scans: distances off by " in fit.summary()
     assert np.median(distances(fit, log)) < 0.1
 
 

@@ -42,6 +42,7 @@ LEAST_WAY = 0.3
 LEAST_TURN = 0.5
 # Without odometry it is an alignment that slipped, not a wheel.
 OF_WHEELS = ("wheel-slip", "odometry-turn-scale", "odometry-drift", "odometry-drift-at-rest")
+NO_ODOMETRY = "no-odometry"
 # With this share of trusted poses a course is right even if most readings disagree with the map.
 NEARLY_ALL = 0.9
 
@@ -108,13 +109,14 @@ class TrajectoryFit:
         steps[np.searchsorted(self.stamps - self.stamps[0], carried) - 1] = 0.0  # not driven
         x, y, theta = self.poses[0]
         turned = np.ptp(np.unwrap(self.poses[:, 2])) >= LEAST_TURN
+        aligned = "none; those of aligned scans: " if any(one.name == NO_ODOMETRY for one in self.findings) else ""
         return (
             f"start      {x:.3f} m, {y:.3f} m, {np.degrees(theta):.1f} deg; "
             f"{self.hypotheses[0].agrees:.0%} of the beams agree with the map\n"
             f"path       {len(self)} scans, {steps.sum():.1f} m, {self.stamps[-1] - self.stamps[0]:.1f} s\n"
             f"trusted    {self.trusted.mean():.1%} of the scans\n"
             f"position   {np.median(deviation):.3f} m standard deviation (median), {deviation.max():.3f} m at worst\n"
-            f"odometry   distances off by {-self.distance_scale:+.2%}"
+            f"odometry   {aligned}distances off by {-self.distance_scale:+.2%}"
             + (f", turns by {-self.turn_scale:+.2%}" if turned else "; the robot hardly turned")
         )
 
@@ -347,7 +349,7 @@ def _result(log: SensorLog, fitted: Smoothed, distance: float, turns: TurnErrors
 
 def _no_odometry() -> Finding:
     return Finding(
-        "no-odometry", "warning",
+        NO_ODOMETRY, "warning",
         "The log has no odometry at the times of its scans: each was aligned with the one before in its place.",
         why="Along corridors, scans alone slide.",
         do="Record the odometry (docs/recording.md); if you did, beamfield inspect says whether two clocks differ.",

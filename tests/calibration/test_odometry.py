@@ -323,7 +323,11 @@ def test_noise_shows_in_few_windows_though_others_have_none():
 
     def mean_log_density(levels: FloatArray) -> float:
         covariances = reference + np.tensordot(levels, units, 1)
-        return float(np.mean([multivariate_normal(np.zeros(3), c).logpdf(r) for c, r in zip(covariances, residuals)]))
+        return float(
+            np.mean(
+                [multivariate_normal(np.zeros(3), c).logpdf(r) for c, r in zip(covariances, residuals, strict=True)]
+            )
+        )
 
     best = fit_levels(residuals, reference, units)
     others = [np.array([1e-7, 10.0**power]) for power in np.arange(-5.0, 0.0, 0.25)]

@@ -47,7 +47,10 @@ def finder_deg(bearings_deg, **limits) -> RangeFinder:
         # All the way around, not "-89.0 to -90.0".
         (finder_deg(np.arange(-89.0, 270.5, 1.0)), "from -89.0 to 270.0 degrees, spanning 359.0"),
         (finder_deg([0.0, 10.0, 40.0]), "spanning 40.0, unevenly spaced"),
-        (finder_deg(np.arange(0.0, 360.0, 1.0)), "spanning 359.0, every 1, counter-clockwise"),
+        (finder_deg(np.arange(0.0, 360.0, 1.0)), "from 0.0 to 359.0 degrees, spanning 359.0, every 1, counter-"),
+        (finder_deg(np.arange(-180.0, 180.0, 1.0)), "from -180.0 to 179.0 degrees"),
+        (finder_deg(np.arange(-180.0, 180.5, 1.0)), "from -180.0 to 180.0 degrees, spanning 360.0"),
+        (finder_deg(np.arange(180.0, -180.0, -1.0)), "from 180.0 to -179.0 degrees, spanning 359.0, every 1, clock"),
         (finder_deg([-45.0, 45.0], opening_angle=math.radians(30)), "cones of 30.0 degrees"),
         (finder_deg([0.0]), "beams             1\n"),
         (RangeFinder(np.array([[0.1, 0.2, 0.0], [0.3, 0.0, 1.0]]), 5.0), "2 places on the robot"),

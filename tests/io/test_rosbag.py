@@ -322,6 +322,22 @@ def test_ground_truth_is_the_robots_own_though_its_last_name_is_that_of_the_odom
         assert (sensor.odometry[0, 0], sensor.poses[0, 0]) == (x, 7.0 * x)
 
 
+@pytest.mark.parametrize(
+    ("step", "scans", "is_noted"), [(1.0, 0.2, True), (0.5, 0.2, True), (0.25, 0.1, False), (1.0, 1.0, False)]
+)
+def test_odometry_that_comes_too_seldom_to_interpolate_turns_is_noted(step, scans, is_noted, tmp_path):
+    bag = MiniBag()
+    for time in np.arange(0.0, 5.01, step):
+        bag.odometry(10.0 + time, (time, 0.0))
+    for time in np.arange(0.0, 5.01, scans):
+        bag.scan(10.0 + time)
+    (text,) = [note for note in read_bag(bag.write(tmp_path)).notes if "has a pose every" in note] or [""]
+    assert (
+        text.startswith(f"/scan: the odometry has a pose every {step:.1f} s, the scans come every 0.2 s: ") == is_noted
+    )
+    assert bool(text) == is_noted
+
+
 def test_odometry_on_tf_may_have_a_frame_that_is_only_named_after_it(tmp_path):
     bag = MiniBag().scan(99.5).scan(100.0).tf("base_link", "laser", 0.0, static=True)
     for time in (99.0, 101.0):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beamfield.localization.course_choice import Judged, StartHypothesis, standing_out
+from beamfield.localization.course_choice import Judged, StartHypothesis, standing_out, starts_apart
 from beamfield.localization.trajectory_start import Course
 
 START = np.zeros(3)
@@ -58,3 +58,11 @@ def test_the_only_course_needs_a_start_and_beams_that_agree():
     assert standing_out([judged(7.0, 0.5)], None, LONG) == []
     assert standing_out([judged(7.0, 0.5)], START, LONG) != []
     assert standing_out([judged(7.0, 0.44)], START, LONG) == []
+
+
+def test_of_courses_that_part_later_the_start_is_named_once():
+    best, other, elsewhere = (
+        StartHypothesis(np.array(pose), 7.0, agrees, 0.3)
+        for pose, agrees in (((9.5, 3.5, 1.5), 0.8), ((9.5, 3.6, 1.5), 0.5), ((9.5, 3.5, -1.5), 0.4))
+    )
+    assert starts_apart([best, other, elsewhere]) == [best, elsewhere]

@@ -242,6 +242,16 @@ def test_a_reset_and_missing_odometry_are_bridged_and_said(drive: SensorLog, off
     assert not fit.trusted[90:].any()
 
 
+def test_interpolated_odometry_is_no_slip_and_explains_scans_that_do_not_fit(drive: SensorLog, office: OccupancyGrid):
+    log = drive.select(np.arange(100, 200))
+    odometry = log.odometry.copy()
+    odometry[40:60] = np.nan  # it turns meanwhile
+    fit = fit_trajectory(replace(log, odometry=odometry), office, start=log.poses[0])
+    assert names(fit) == {"odometry-missing", "odometry-gap", "poor-fit-stretch"}
+    (poor,) = [one for one in fit.findings if one.name == "poor-fit-stretch"]
+    assert ("no odometry" in poor.why, poor.do) == (True, "Record the odometry throughout.")
+
+
 def test_distances_that_are_wrong_by_a_scale_are_named(drive: SensorLog, office: OccupancyGrid):
     log = drive.select(np.arange(100))
     steps = between(log.odometry[:-1], log.odometry[1:]) * [1.1, 1.1, 1.0]
@@ -266,6 +276,7 @@ def test_without_odometry_scans_are_aligned_in_its_place(drive: SensorLog, offic
     log = drive.select(np.arange(30))
     fit = fit_trajectory(replace(log, odometry=np.full((30, 3), np.nan)), office, start=log.poses[0])
     assert "no-odometry" in names(fit)
+    assert "odometry   none; those of aligned scans: distances off by " in fit.summary()
     assert np.median(distances(fit, log)) < 0.1
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from beamfield.errors import TrajectoryNotFoundError
 from beamfield.geometry import between, chained, wrap_angle
 from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.trajectory import TrajectoryFit, fit_trajectory
@@ -115,3 +116,29 @@ def test_a_corridor_says_how_far_a_robot_turned_though_not_how_far_it_drove():
     log = SensorLog(AROUND, np.arange(30.0), np.where(z < 12.0, z, np.inf), poses, poses)
     found = odometry_from_scans(log, lambda *_: None)
     assert np.degrees(found[-1, 2]) == pytest.approx(87.0, abs=2.0)
+
+
+def halls() -> OccupancyGrid:
+    """Return two halls that meet at a door; by itself, each looks the same in a mirror."""
+    cells = np.full((240, 320), np.nan)
+    for rows, cols in ((slice(0, 120), slice(0, 160)), (slice(80, 240), slice(158, 320))):
+        cells[rows, cols] = 1.0
+        cells[rows, cols][2:-2, 2:-2] = 0.0
+    cells[94:106, 158:160] = 0.0
+    cells[36:44, 8:20] = cells[76:84, 8:20] = cells[110:126, 280:288] = cells[194:210, 280:288] = 1.0
+    return OccupancyGrid(cells, 0.05)
+
+
+def test_a_mirrored_map_is_refused_though_a_robot_that_is_carried_would_fit_it():
+    grid, t = halls(), np.linspace(0.0, 1.0, 80)
+    # From the lower hall through the door, at (8 m, 5 m), into the upper one.
+    x, y = 2.0 + 10.5 * t, 3.0 + 2.0 * np.sin(1.5 * np.pi * t.clip(max=1.0 / 3.0)) + 4.0 * (t - 0.6).clip(min=0.0)
+    poses = np.column_stack([x, y, np.arctan2(np.gradient(y), np.gradient(x))])
+    rng = np.random.default_rng(0)
+    ranges = RayCaster(grid).expected_ranges(poses, AROUND) + 0.02 * rng.standard_normal((80, 60))
+    nowhere = np.full((80, 3), np.nan)
+    log = SensorLog(AROUND, 0.5 * np.arange(80), ranges, nowhere, poses)
+    assert np.hypot(*(fit_trajectory(log, grid).poses - poses)[:, :2].T).max() < 0.05
+    mirrored = OccupancyGrid(np.asarray(grid.probability)[::-1], 0.05)
+    with pytest.raises(TrajectoryNotFoundError, match="only if the map is mirrored"):
+        fit_trajectory(log, mirrored)

@@ -217,8 +217,33 @@ def test_parameters_of_all_nodes_are_those_of_the_node_unless_it_has_its_own(wri
     }  # fmt: skip
     path = section.path
     write_values(section, {"z_hit": 0.5, "alpha1": 0.1, "alpha2": 0.2})
-    expected = SHARED.replace("z_hit: 0.6", "z_hit: 0.5").replace("alpha1: 0.3", "alpha1: 0.1")
-    assert path.read_text() == expected.replace("# mine\n", "# mine\n    alpha2: 0.2\n")
+    # Other nodes, such as another robot's amcl, keep what all get.
+    expected = SHARED.replace("z_hit: 0.6", "z_hit: 0.5")
+    assert path.read_text() == expected.replace("# mine\n", "# mine\n    alpha1: 0.1\n    alpha2: 0.2\n")
+    assert read_stack_file(path).section.entries["alpha1"].value == 0.1
+
+
+def test_what_comes_behind_a_node_for_all_is_changed_there_as_it_may_count(write):
+    shared, _, node = SHARED.replace("    z_hit: 0.4\n", "").partition("amcl:")
+    section = read_stack_file(write(f"amcl:{node}{shared}")).section
+    assert section.with_values({"alpha1": 0.1}) == section.text.replace("alpha1: 0.3", "alpha1: 0.1")
+    assert section.with_values({"alpha1": 0.3}) == section.text
+
+
+@pytest.mark.parametrize(
+    ("pattern", "node", "counts"),
+    [("/*", "amcl", True), ("/robot1/**", "/robot1/amcl", True), ("/**/amcl", "/robot1/amcl", True),
+     ("/robot2/**", "/robot1/amcl", False), ("/*", "/robot1/amcl", False), ("/robot*", "/robot1/amcl", False)],
+)  # fmt: skip
+def test_parameters_of_several_nodes_by_wildcards_are_those_of_the_nodes_they_match(write, pattern, node, counts):
+    path = write(SHARED.replace("amcl:", f"{node}:").replace("/**:", f"{pattern}:"))
+    if counts:
+        section = read_stack_file(path).section
+        assert (section.entries["z_hit"].value, section.entries["alpha1"].value) == (0.6, 0.3)
+        assert section.with_values({"alpha1": 0.1}).startswith(section.text.rstrip().rpartition("\n")[0])
+        return
+    with pytest.raises(FormatError, match="several sections have such parameters"):
+        read_stack_file(path)
 
 
 def test_a_nodes_section_without_parameters_of_the_laser_gets_those_of_all_nodes(write):

@@ -257,6 +257,9 @@ def _beams_row(beams: Mapping[str, Any]) -> str:
         step = math.degrees(beams["step_rad"])
         # Counted on from the first: "from -89 to -90 degrees" would hide that they go all the way around.
         last = first + math.copysign(span, step)
+        # A laser that begins at -180 degrees is stored as beginning at 180: it does not end at 539.
+        turns = 360.0 * round((first + last) / 720.0)
+        first, last = first - turns, last - turns
         text = f"{beams['count']} from {first:.1f} to {last:.1f} degrees, spanning {span:.1f}, every {abs(step):.3g}"
         text += f", {'clockwise' if step < 0 else 'counter-clockwise'}"
     return text + (f", cones of {cone:.1f} degrees" if cone else "")

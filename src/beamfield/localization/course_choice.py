@@ -147,6 +147,9 @@ def choose_course(
         equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
         if unturned is not None:
             _refuse_mirrored(log, unturned[1], search, hypotheses[0].misfit + equal)
+        elif not put_right and len(judged[0][1].jumps):
+            # In the mirrored map of a building whose two sides look alike, the robot seems to be carried between them.
+            _refuse_mirrored(log, turned[1], search, hypotheses[0].misfit - equal, MIRRORED_MAP)
         rivals = [one for one in hypotheses[1:] if is_at(one.pose, start)]
         if any(one.cost - hypotheses[0].cost < equal > one.misfit - hypotheses[0].misfit for one in rivals):
             raise TrajectoryNotFoundError(
@@ -160,7 +163,8 @@ def choose_course(
     may_be_right = start is None and first[0].agrees >= LEAST_AGREEMENT
     raise TrajectoryNotFoundError(
         "no trajectory through this map fits the log (another building, a map out of date or of wrong resolution, "
-        f"places that look alike, people all around, a drive beyond it, or wrong odometry?); {_named(first)}"
+        "places that look alike, people all around, a drive beyond it, or wrong odometry?); "
+        f"{_named(starts_apart(first))}"
         f"{'; if it began at one of these, give that start' if may_be_right else ''}"
     )
 
@@ -257,6 +261,15 @@ def _judged(log: SensorLog, grid: OccupancyGrid, drive: Drive, course: Course) -
     pose[2] = wrap_angle(pose[2])
     cost = course.cost / len(drive.scans) + MORE_THROUGH * max(agreement.through - USUAL_THROUGH, 0.0)
     return StartHypothesis(pose, cost, *agreement), course
+
+
+def starts_apart(hypotheses: Sequence[StartHypothesis]) -> list[StartHypothesis]:
+    """Return the starts without those of further courses from the same place, between which nobody can choose."""
+    apart: list[StartHypothesis] = []
+    for one in hypotheses:
+        if not any(is_at(one.pose, other.pose) for other in apart):
+            apart.append(one)
+    return apart
 
 
 def _named(hypotheses: Sequence[StartHypothesis]) -> str:

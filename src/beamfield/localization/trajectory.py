@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -22,7 +23,7 @@ from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.scan_parts import parts_that_disagree
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_start import Course
-from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings
+from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings, scale_finding
 from beamfield.localization.turn_errors import TurnErrors, drift_at_rest, turn_errors, turn_findings, turns_of_scans
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
@@ -40,7 +41,8 @@ LEAST_WAY = 0.3
 # A robot that turns less, radians, does not tell how far its odometry turns.
 LEAST_TURN = 0.5
 # Without odometry it is an alignment that slipped, not a wheel.
-OF_WHEELS = ("wheel-slip", "odometry-scale", "odometry-turn-scale", "odometry-drift", "odometry-drift-at-rest")
+OF_WHEELS = ("wheel-slip", "odometry-turn-scale", "odometry-drift", "odometry-drift-at-rest")
+NO_ODOMETRY = "no-odometry"
 # With this share of trusted poses a course is right even if most readings disagree with the map.
 NEARLY_ALL = 0.9
 
@@ -107,13 +109,14 @@ class TrajectoryFit:
         steps[np.searchsorted(self.stamps - self.stamps[0], carried) - 1] = 0.0  # not driven
         x, y, theta = self.poses[0]
         turned = np.ptp(np.unwrap(self.poses[:, 2])) >= LEAST_TURN
+        aligned = "none; those of aligned scans: " if any(one.name == NO_ODOMETRY for one in self.findings) else ""
         return (
             f"start      {x:.3f} m, {y:.3f} m, {np.degrees(theta):.1f} deg; "
             f"{self.hypotheses[0].agrees:.0%} of the beams agree with the map\n"
             f"path       {len(self)} scans, {steps.sum():.1f} m, {self.stamps[-1] - self.stamps[0]:.1f} s\n"
             f"trusted    {self.trusted.mean():.1%} of the scans\n"
             f"position   {np.median(deviation):.3f} m standard deviation (median), {deviation.max():.3f} m at worst\n"
-            f"odometry   distances off by {-self.distance_scale:+.2%}"
+            f"odometry   {aligned}distances off by {-self.distance_scale:+.2%}"
             + (f", turns by {-self.turn_scale:+.2%}" if turned else "; the robot hardly turned")
         )
 
@@ -255,8 +258,10 @@ def fit_course(
         before = [wrong, *(one for one in before if wrong.name != "laser-mount" or one.name != "odometry-sign")]
     if any(one.name in OF_THE_ROBOT for one in before):
         seen = [one for one in seen if one.name != "wheel-slip"]
+    distance = _distance_scale(fitted, wrong)
+    seen = [*(scale_finding(distance) if log.has_odometry else ()), *seen]
     findings = [*before, *seen, *more, *robot_in_sight(log), *parts_that_disagree(log, walls, fitted.poses, trusted)]
-    fit = _result(log, fitted, turns, trusted, findings, found.hypotheses)
+    fit = _result(log, fitted, distance, turns, trusted, findings, found.hypotheses)
     outdated = find_outdated_map(log, grid, fit.poses, are_right=fit.is_beyond_doubt)
     return fit if outdated is None else replace(fit, findings=worst_first([*findings, outdated]))
 
@@ -319,10 +324,21 @@ def _spread_out(drive: Drive, course: Course) -> tuple[FloatArray, NDArray[np.bo
     return np.concatenate(parts), cut
 
 
-def _result(log: SensorLog, fitted: Smoothed, turns: TurnErrors | None, trusted: NDArray[np.bool_],
+def _distance_scale(fitted: Smoothed, wrong: Finding | None) -> float:
+    """Return the relative error of the odometry's distances.
+
+    At the heading of a laser whose mount is wrong by an angle, the robot seems to go ahead by its cosine of the way.
+    """
+    scale = float(fitted.systematic[0])
+    if wrong is None or wrong.name != "laser-mount":
+        return scale
+    return (1.0 + scale) / abs(math.cos(wrong.values["turn_rad"])) - 1.0
+
+
+def _result(log: SensorLog, fitted: Smoothed, distance: float, turns: TurnErrors | None, trusted: NDArray[np.bool_],
             findings: list[Finding], hypotheses: tuple[StartHypothesis, ...]) -> TrajectoryFit:  # fmt: skip
     first = hypotheses[0]._replace(pose=fitted.poses[0])
-    distance, turn, per_metre = (float(value) for value in fitted.systematic)
+    _, turn, per_metre = (float(value) for value in fitted.systematic)
     if turns is not None:
         turn, per_metre = -turns.scale, -turns.drift
     return TrajectoryFit(
@@ -333,7 +349,7 @@ def _result(log: SensorLog, fitted: Smoothed, turns: TurnErrors | None, trusted:
 
 def _no_odometry() -> Finding:
     return Finding(
-        "no-odometry", "warning",
+        NO_ODOMETRY, "warning",
         "The log has no odometry at the times of its scans: each was aligned with the one before in its place.",
         why="Along corridors, scans alone slide.",
         do="Record the odometry (docs/recording.md); if you did, beamfield inspect says whether two clocks differ.",

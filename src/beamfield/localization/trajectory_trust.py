@@ -33,6 +33,8 @@ SCALE = 0.05
 MOST_NAMED = 5
 # Scanners and wheels seldom start and end together: so small a share of scans without odometry is no reason to worry.
 FEW_UNKNOWN = 0.01
+# From this share of the scans of a kind on, what they have in common explains them.
+MOSTLY = 0.5
 # Seconds from the nearest odometry after which a robot may be anywhere.
 BRIDGED = 2.0
 
@@ -54,6 +56,9 @@ def judge_trajectory(
     poor = agreement < LEAST_AGREEMENT * usual
     carried, lost = _around(drive, cut, own < LEAST_AGREEMENT * usual), _far_from_odometry(drive)
     worst = float(position.max())
+    unfit = poor & ~weak & ~beyond
+    # Where poses are interpolated between odometry far apart, it is these that do not fit.
+    is_guessed = bool(drive.unknown[unfit].mean() > MOSTLY) if unfit.any() else False
     findings = [
         *_stretches(
             "odometry-gap", lost, drive, {}, f"there is no odometry within {BRIDGED:g} s",
@@ -70,10 +75,12 @@ def judge_trajectory(
             "Map that part, too",
         ),
         *_stretches(
-            "poor-fit-stretch", poor & ~weak & ~beyond, drive, {"usual_share": usual},
+            "poor-fit-stretch", unfit, drive, {"usual_share": usual},
             f"the scans do not fit the map there: less than {LEAST_AGREEMENT * usual:.0%} of the readings "
-            f"agree, elsewhere {usual:.0%}", "the world differs from the map, or the robot is elsewhere",
-            "Look at these scans with beamfield check",
+            f"agree, elsewhere {usual:.0%}",
+            "most of them have no odometry, and interpolated poses are wrong" if is_guessed else
+            "the world differs from the map, or the robot is elsewhere",
+            "Record the odometry throughout" if is_guessed else "Look at these scans with beamfield check",
         ),
     ]  # fmt: skip
     return ~(weak | poor | carried | lost), findings
@@ -82,10 +89,9 @@ def judge_trajectory(
 def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> Iterator[Finding]:
     """Name the times at which the odometry was wrong: resets, slips, being carried away, gaps."""
     since = drive.stamps - drive.stamps[0]
-    yield from _scale(fitted)
     yield from _carried(drive, course, since)
     yield from _resets(drive, since)
-    yield from _slips(fitted, since)
+    yield from _slips(fitted, since, drive.unknown)
     yield from time_gaps(drive.stamps)
     if n_unknown := int(np.count_nonzero(drive.unknown)):
         which = "1 scan has" if n_unknown == 1 else f"{n_unknown} scans have"
@@ -94,6 +100,18 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> Iterato
             "odometry-missing", "info" if few else "warning", f"{which} no odometry; it was interpolated.",
             {"scans": float(n_unknown)},
             why="Slips in between are not seen.", do="Record the odometry for as long as the scans.",
+        )  # fmt: skip
+
+
+def scale_finding(scale: float) -> Iterator[Finding]:
+    """Name a relative error of the odometry's distances, if it is large."""
+    if abs(scale) > SCALE:
+        yield Finding(
+            "odometry-scale", "warning",
+            f"Distances of the odometry and of scans in the map differ by {abs(scale):.1%}.", {"scale": scale},
+            why="The wheels' scale, the map's or that of the ranges is wrong; with one of the last two, so are the "
+            "poses.",
+            do="Measure a long wall, and compare it with the map and with a reading.",
         )  # fmt: skip
 
 
@@ -132,18 +150,6 @@ def _around(drive: Drive, cut: NDArray[np.bool_], poor: NDArray[np.bool_]) -> ND
     return around
 
 
-def _scale(fitted: Smoothed) -> Iterator[Finding]:
-    scale = float(fitted.systematic[0])
-    if abs(scale) > SCALE:
-        yield Finding(
-            "odometry-scale", "warning",
-            f"Distances of the odometry and of scans in the map differ by {abs(scale):.1%}.", {"scale": scale},
-            why="The wheels' scale, the map's or that of the ranges is wrong; with one of the last two, so are the "
-            "poses.",
-            do="Measure a long wall, and compare it with the map and with a reading.",
-        )  # fmt: skip
-
-
 def _far_from_odometry(drive: Drive) -> NDArray[np.bool_]:
     """Return the scans (t,) that are far in time from all odometry."""
     known = drive.stamps[~drive.unknown]
@@ -180,8 +186,8 @@ def _resets(drive: Drive, since: FloatArray) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _slips(fitted: Smoothed, since: FloatArray) -> list[Finding]:
-    """Find stretches of a second in which odometry and the fitted motion differ too much."""
+def _slips(fitted: Smoothed, since: FloatArray, unknown: NDArray[np.bool_]) -> list[Finding]:
+    """Find stretches of a second in which odometry, where it is known, and the fitted motion differ too much."""
     error, variance = fitted.step_errors, fitted.step_variances
     end = np.searchsorted(since, since[:-1] + SLIP_TIME, side="right").clip(max=len(since) - 1)
     begin = np.arange(len(end))
@@ -190,6 +196,8 @@ def _slips(fitted: Smoothed, since: FloatArray) -> list[Finding]:
     distance, turn = np.hypot(total[:, 0], total[:, 1]), np.abs(total[:, 2])
     surprise = np.sqrt(np.max(total**2 / np.maximum(expected, 1e-12), axis=1))
     slips = ((distance > SLIP) | (turn > SLIP_TURN)) & (surprise > SLIP_SIGMAS)
+    guessed = np.concatenate([[0], np.cumsum(unknown[:-1] | unknown[1:])])
+    slips &= guessed[end] == guessed[begin]
     found = []
     for first, last in _runs(slips):
         part = slice(first, last + 1)

@@ -531,6 +531,13 @@ def test_defaults_do_not_stand_in_for_values_that_are_wrong(tmp_path):
     ]
 
 
+def test_weights_that_are_nan_by_a_reading_are_not_put_down_to_values(tmp_path):
+    ranges = np.where(np.arange(N_BEAMS) < 12, np.nan, walls())
+    log = scans(ranges, poses=MIDDLE)
+    found = examine(amcl(tmp_path, "ros1", laser_model_type="beam"), grid=room(), log=log)
+    assert [item.name for item in found if item.severity == "error"] == ["nan-readings"]
+
+
 def test_a_range_limit_that_hides_readings_comes_before_the_few_beams_that_it_leaves(tmp_path):
     names = [
         item.name for item in examine(amcl(tmp_path, laser_max_range=2.0, max_beams=30), log=scans(some(1.0, 0.1)))

@@ -53,6 +53,8 @@ class Entry:
         What stands in the file instead of the value, such as ``$(arg z_hit)``; "" if it is the value itself.
     others
         (line, value) of each other place that gives the same parameter; they do not count.
+    is_shared
+        Whether other nodes get the value from here, too, unless they set it themselves, as this one may.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Entry:
     stop: int
     filled_in: str = ""
     others: tuple[tuple[int, Value | None], ...] = ()
+    is_shared: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +133,8 @@ class ParameterSection:
     def with_values(self, values: Mapping[str, Value]) -> str:
         """Return the file's text with these values; parameters that it lacks are added, all else stays as it is.
 
+        A value that other nodes share stays as well: this node gets its own.
+
         InvalidInputError if a text value cannot stand in the file, FormatError if it has no place for a new parameter.
         """
         edits: list[tuple[int, int, str]] = []
@@ -137,11 +142,11 @@ class ParameterSection:
         for name, value in values.items():
             written = value_text(value, self.syntax)
             entry = self.entries.get(name)
-            if entry is None:
+            if entry is not None and _is_written(entry, value):
+                continue  # the user's own way of writing it stays
+            if entry is None or entry.is_shared:
                 added += self.insert_before + pair(name, value, self.syntax) + self.insert_after
                 continue
-            if entry.value == value and type(entry.value) is type(value) and not entry.filled_in:
-                continue  # the user's own way of writing it stays
             if entry.start == entry.stop and self.syntax == "yaml":
                 written = " " + written
             edits.append((entry.start, entry.stop, written))
@@ -156,6 +161,10 @@ class ParameterSection:
         for start, stop, written in sorted(edits, reverse=True):
             text = text[:start] + written + text[stop:]
         return text
+
+
+def _is_written(entry: Entry, value: Value) -> bool:
+    return entry.value == value and type(entry.value) is type(value) and not entry.filled_in
 
 
 def decoded(path: Path, content: bytes) -> str:

@@ -37,25 +37,48 @@ def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
     for_all = next((item for item in maps if item[0] == FOR_ALL), None)
     if chosen == [for_all]:
         chosen = [item for item in maps if item[0][-2:] in {(node, ROS_2_KEY) for node in signs.nodes}] or chosen
-    elif any(item[0][-1:] == (ROS_2_KEY,) and item is not for_all for item in chosen):
-        chosen = [item for item in chosen if item is not for_all]
+    else:
+        chosen = [item for item in chosen if not any(_covers(item[0], place) for place, _ in chosen)]
     # nav2's files have further nodes with amcl in their names; they only count where no node says anything.
     chosen = chosen or [item for item in maps if _is_node(item[0], signs.nodes)]
-    nodes = [_section(file, place, values, signs.names) for place, values in chosen]
-    if for_all is None or chosen == [for_all]:
-        return nodes
-    shared = _section(file, *for_all, signs.names)
-    return [_with_shared(node, shared) for node in nodes]
+    return [
+        _with_shared(
+            _section(file, place, values, signs.names),
+            [_section(file, *item, signs.names) for item in maps if _covers(item[0], place)],
+        )
+        for place, values in chosen
+    ]
 
 
-def _with_shared(node: ParameterSection, shared: ParameterSection) -> ParameterSection:
-    """Return a node's section with the parameters for all nodes that it does not set itself."""
-    both = [name for name in shared.entries if name in node.entries]
-    twice = next((name for name in both if shared.entries[name].value != node.entries[name].value), "")
-    if twice and shared.line > node.line:
-        # In some the node's own section counts, in others what comes last.
-        raise shared.error(twice, f"is in {node.label!r}, too: which one counts depends on ROS's release, keep one")
-    return replace(node, entries={**shared.entries, **node.entries}) if node.is_ros_2 else node
+def _covers(pattern: Place, place: Place) -> bool:
+    """Return whether ROS 2 gives a node the parameters of a pattern with wildcards, such as /** or /robot1/*."""
+    if pattern == place or pattern[-1:] != (ROS_2_KEY,) or place[-1:] != (ROS_2_KEY,):
+        return False
+    if pattern == FOR_ALL:
+        return True
+    names, node = _full_name(pattern), _full_name(place)
+    parts = (re.escape(part) for part in re.split(r"(/\*\*|/\*(?=/|$))", names))
+    wild = {re.escape("/**"): r"(/[^/]+)*", re.escape("/*"): r"/[^/]+"}
+    return "*" in names and re.fullmatch("".join(wild.get(part, part) for part in parts), node) is not None
+
+
+def _full_name(place: Place) -> str:
+    return "".join("/" + str(key).strip("/") for key in place[:-1])
+
+
+def _with_shared(node: ParameterSection, shared: list[ParameterSection]) -> ParameterSection:
+    """Return a node's section with the parameters for several nodes that it does not set itself."""
+    given: dict[str, Entry] = {}
+    for each in shared:
+        both = [name for name in each.entries if name in node.entries]
+        twice = next((name for name in both if each.entries[name].value != node.entries[name].value), "")
+        if twice and each.line > node.line:
+            # In some the node's own section counts, in others what comes last.
+            raise each.error(twice, f"is in {node.label!r}, too: which one counts depends on ROS's release, keep one")
+        # Behind these a node's own value counts in every release, so that theirs need not change for it.
+        is_shared = each.line < node.line
+        given |= {name: replace(entry, is_shared=is_shared) for name, entry in each.entries.items()}
+    return replace(node, entries={**given, **node.entries})
 
 
 def _maps(values: Any, place: Place) -> Iterator[tuple[Place, dict[str, Any]]]:

@@ -330,6 +330,25 @@ def test_noise_shows_in_few_windows_though_others_have_none():
     assert mean_log_density(best) >= max(map(mean_log_density, others)) - 1e-6
 
 
+@pytest.mark.parametrize("seed", [135, 174, 339, 535])
+def test_a_level_that_stays_at_its_bound_stops_no_other(seed):
+    # Each window shows both kinds of noise to another degree; 3 of 60 windows are wide.
+    rng = np.random.default_rng(seed)
+    reference, units = np.broadcast_to(np.eye(3), (60, 3, 3)), np.zeros((2, 60, 3, 3))
+    variances = 10.0 ** rng.uniform(-4.0, 1.0, (2, 60, 3)) * (rng.random((2, 1, 3)) < 0.6)
+    units[:, :, [0, 1, 2], [0, 1, 2]] = variances
+    residuals = rng.standard_normal((60, 3)) * rng.choice([0.5, 1.0, 1.0], (60, 1))
+    residuals[:3] *= 3.0
+
+    def cost(levels: FloatArray) -> float:
+        covariance = 1.0 + np.tensordot(levels, variances, 1)
+        return 0.5 * float(np.sum(np.log(covariance) + residuals**2 / covariance))
+
+    power = np.arange(-7.0, 1.5, 0.1)
+    around = min(cost(10.0 ** np.array([a, b])) for a in power for b in power)
+    assert cost(fit_levels(residuals, reference, units)) < around + 1e-6
+
+
 def test_updates_are_those_of_amcl():
     odometry = np.zeros((7, 3))
     odometry[:, 0] = [0.0, 0.1, 0.26, 0.3, 0.3, 0.3, 0.5]

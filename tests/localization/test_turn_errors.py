@@ -17,7 +17,9 @@ STAMPS = 100.0 + 0.2 * np.arange(600)
 NOWHERE = np.zeros(len(STAMPS) - 1, bool)
 
 
-def drive_of(turn_scale: float = 0.0, drift: float = 0.0, noise: float = 0.3, cut=NOWHERE, seed: int = 2):
+def drive_of(
+    turn_scale: float = 0.0, drift: float = 0.0, noise: float = 0.3, cut=NOWHERE, seed: int = 2, n_slips: int = 0
+):
     """Return the errors that are found of odometry along a drive of turns on the spot and straight stretches."""
     steps = np.zeros((len(STAMPS) - 1, 3))
     turning = np.arange(len(steps)) // 15 % 3 == 0
@@ -28,6 +30,7 @@ def drive_of(turn_scale: float = 0.0, drift: float = 0.0, noise: float = 0.3, cu
     odometry = noisy_odometry(poses, np.random.default_rng(seed), wheels)
     said = between(odometry[:-1], odometry[1:])
     said[:, 2] += drift * said[:, 0]
+    said[np.random.default_rng(seed).choice(len(said), n_slips, replace=False), 2] += 2.0
     return turn_errors(SimpleNamespace(stamps=STAMPS, steps=np.where(cut[:, None], 3.0, said)), poses, cut)
 
 
@@ -56,6 +59,12 @@ def test_a_drift_is_named_with_its_side():
 
 def test_good_odometry_is_not_accused():
     assert not any(list(turn_findings(drive_of(turn_scale=-0.02, seed=seed))) for seed in range(20))
+
+
+def test_slips_in_a_fifth_of_the_windows_count_little():
+    found = [drive_of(n_slips=8, seed=seed) for seed in range(10)]
+    assert max(abs(one.scale) for one in found) < 0.025
+    assert max(abs(one.drift) for one in found) < 0.015
 
 
 def test_steps_that_say_nothing_are_left_out():

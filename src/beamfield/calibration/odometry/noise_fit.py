@@ -17,6 +17,8 @@ MOST_FAULTS = 0.1
 MEDIAN_NEES = 2.366
 # Steps of the search, and the longest one in the logarithm of a level.
 MOST_STEPS, LONGEST_STEP = 60, 2.0
+# What is added to a step's curvature, as a share of it, and how often levels take turns where a step meets bounds.
+RIDGE, SWEEPS = 1e-6, 30
 
 
 def fit_levels(
@@ -41,17 +43,11 @@ def fit_levels(
     value = loss(at)
     for _ in range(MOST_STEPS):
         levels = np.exp(at)
-        slope, curvature = gradient * levels, information * np.outer(levels, levels)
-        # A level that would leave the range at its end takes no part: its long step would shorten all others. Nor does
-        # one that no window shows.
-        leaves = ((at <= low) & (slope > 0.0)) | ((at >= high) & (slope < 0.0))
-        free = (curvature.diagonal() > 0.0) & ~leaves
-        if not free.any():
-            break
-        curvature = curvature[np.ix_(free, free)]
-        step = np.zeros(len(at))
-        step[free] = -np.linalg.solve(curvature + 1e-6 * np.trace(curvature) * np.eye(len(curvature)), slope[free])
-        step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+        # Each level has bounds of its own: a long step of one that hardly shows must not shorten the others'.
+        step = _step_within(
+            gradient * levels, information * np.outer(levels, levels),
+            np.maximum(low - at, -LONGEST_STEP), np.minimum(high - at, LONGEST_STEP),
+        )  # fmt: skip
         for _ in range(20):
             there = np.clip(at + step, low, high)
             new = loss(there)
@@ -65,6 +61,23 @@ def fit_levels(
         if moved < 1e-6 or gained < 1e-9 * len(residuals):
             break
     return np.asarray(np.exp(at))
+
+
+def _step_within(slope: FloatArray, curvature: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the step (k,) within bounds that lowers the quadratic of a slope and a curvature; 0 where that is flat."""
+    step, shown = np.zeros(len(slope)), np.flatnonzero(curvature.diagonal() > 0.0)
+    slope, curvature, low, high = slope[shown], curvature[np.ix_(shown, shown)], low[shown], high[shown]
+    # Of levels that no window tells apart, neither leads astray.
+    curvature = curvature + np.diag(RIDGE * curvature.diagonal())
+    best = -np.linalg.solve(curvature, slope)
+    if (best < low).any() or (best > high).any():
+        best = np.zeros(len(shown))
+        for _ in range(SWEEPS):
+            for i in range(len(shown)):
+                wanted = best[i] - (slope[i] + curvature[i] @ best) / curvature[i, i]
+                best[i] = min(max(wanted, low[i]), high[i])
+    step[shown] = best
+    return step
 
 
 def common_start(residuals: FloatArray, reference: FloatArray, units: FloatArray) -> FloatArray:

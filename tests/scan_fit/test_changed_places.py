@@ -244,6 +244,12 @@ class TestVisits:
         assert kinds.share < 0.001
         assert (kinds.probability(visits, 3000) > 0.95).sum() <= 1
 
+    def test_who_comes_anew_in_a_crowd_is_not_taken_for_somebody_who_stands(self, rng):
+        lasting = np.repeat(rng.random(3000) < 0.03, 4)
+        differs = rng.random(12000) < np.where(lasting, 0.85, 0.15)
+        visits = Visits(np.repeat(np.arange(3000), 4), np.tile(np.arange(4), 3000), differs)
+        assert TwoKinds.learn(visits, stay=0.8).standing < 0.1
+
     def test_a_visit_needs_beams_and_a_place_differs_by_share(self):
         tally = Tally(*(np.array(c) for c in ([0, 0, 0, 0], [0, 1, 2, 3], [9, 10, 100, 100], [9, 2, 9, 10])))
         visits = tally.visits(0.1)

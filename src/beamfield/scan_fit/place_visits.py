@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ LEAST_LASTING, MOST_PASSING = 0.5, 0.2
 # for good, in nine of ten visits; another one in a hundred visits.
 PRIOR_SHARE, PRIOR_LASTING, PRIOR_PASSING, PRIOR_STANDING = 0.01, 0.9, 0.01, 0.5
 PRIOR_PLACES, PRIOR_VISITS = 100.0, 10.0
-MOST_STEPS = 200
+MOST_STEPS, SETTLED = 200, 1e-5
 
 
 class Tally(NamedTuple):
@@ -152,23 +152,31 @@ class TwoKinds:
         n = int(visits.place.max(initial=-1)) + 1
         (k, v), fresh = visits.counts(n), visits.gaps == np.inf
         k_fresh, v_fresh = visits.select(fresh).counts(n)
-        still_there, stayed = visits.differs & ~fresh, stay**visits.gaps
+        stayed = stay**visits.gaps
         kinds = cls(PRIOR_SHARE, PRIOR_LASTING, PRIOR_PASSING, PRIOR_STANDING, stay)
         for _ in range(MOST_STEPS):
             lasting = kinds.probability(visits, n)
             other = 1.0 - lasting
+            stood, could = kinds._stood(visits, stayed)
             step = cls(
                 float((lasting.sum() + PRIOR_SHARE * PRIOR_PLACES) / (n + PRIOR_PLACES)),
                 max(_ratio(lasting, k, v, PRIOR_LASTING), LEAST_LASTING),
                 min(_ratio(other, k_fresh, v_fresh, PRIOR_PASSING), MOST_PASSING),
-                min(_ratio(other[visits.place], still_there, stayed, PRIOR_STANDING), PRIOR_STANDING),
+                min(_ratio(other[visits.place] * ~fresh, stood, could, PRIOR_STANDING), PRIOR_STANDING),
                 stay,
             )
-            done = abs(step.share - kinds.share) < 1e-6 and abs(step.passing - kinds.passing) < 1e-6
+            moved = abs(np.array(astuple(step)) - astuple(kinds))
             kinds = step
-            if done:
+            if moved.max() < SETTLED:
                 break
         return kinds
+
+    def _stood(self, visits: Visits, stayed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how likely it is that who was there before stood still, and that nobody else has come, by visit."""
+        still = (1.0 - self.passing) * self.standing
+        there = self.passing + still * stayed
+        stood = still * np.where(visits.differs, stayed / there, (1.0 - stayed) / (1.0 - there))
+        return stood, np.where(visits.differs, 1.0 - self.passing / there, 1.0)
 
     def probability(self, visits: Visits, n_places: int) -> FloatArray:
         """Return the probability (n_places,) that each place differs for good, given its visits; `share` without any.

@@ -325,6 +325,7 @@ def test_a_log_too_short_for_the_stack_is_named_early_and_the_rest_is_written(tm
     assert re.search(r"need 5 of each: a drive about \d+\.\d times as long should do", said[early])
     assert early < said.index("learning ...")
     assert said[-1].startswith("beamfield: warning: no values for nav2: ")
+    assert printed.out.count("no values for nav2") == 1
     names = ["beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report.html"]
     assert [name for name in names if (tmp_path / "out" / name).exists()] == names
     assert not (tmp_path / "out" / "nav2.yaml").exists()

@@ -182,6 +182,6 @@ def _table(result: Calibration, parts: Sequence[ReportPart]) -> str:
     """
     width = line_width()
     details = calibration_details(result, width=width, wording=in_options)
-    paragraphs = [paragraph for part in parts for paragraph in part.table.split("\n\n")]
+    paragraphs = [paragraph for part in parts if part.table for paragraph in part.table.split("\n\n")]
     # A table has several lines, a sentence has one.
     return "\n\n".join([details, *(text if "\n" in text else filled(text) for text in paragraphs)])

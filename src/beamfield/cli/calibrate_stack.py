@@ -117,7 +117,8 @@ def fit_for_stack(
         why = f"no values for {stack}: {error}"
         section = PageSection.without("stack", f"For {stack}", why)
         document = {"stack": stack, "missing": str(error), "verdict": why}
-        return StackPart("stack", why, document, section, doubt=why, problem=why)
+        # The verdict says it, below all tables.
+        return StackPart("stack", "", document, section, doubt=why, problem=why)
     # The model that runs stays unless replay says otherwise.
     own, *others = fits
     choice, why_not = replay_fit(job, sensor, grid, own, others, motion)

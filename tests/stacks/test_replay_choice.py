@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -193,6 +194,28 @@ def test_seeds_that_are_missing_are_run_and_no_others(office, stretches, monkeyp
     assert grown.seeds == whole.seeds
     np.testing.assert_array_equal(grown.column("mean"), whole.column("mean"))
     assert first[0].seeds == stepwise.of([own], 1)[own.key][0].seeds == (7,)
+
+
+def test_models_are_made_once_or_of_large_maps_one_at_a_time(office, stretches, monkeypatch):
+    plain = ReplaySetting("before", "before", 0.0, "before", nav2_filter())
+    settings = [plain, replace(plain, shift=0.1), replace(plain, motion="alpha 0.02", filter=nav2_filter(**GOOD))]
+    made: list[FilterSettings] = []
+    emulator = FilterSettings.emulator
+    monkeypatch.setattr(FilterSettings, "emulator", lambda self, grid: made.append(self) or emulator(self, grid))
+    replays = Replays(stretches, office, 2, 0, KeptRuns())
+    small = [replays.of(settings, n) for n in (1, 2)][-1]
+    assert len(made) == 2
+    # Runs with the same model come one after the other, so that each is made once a call.
+    monkeypatch.setattr(replay_runs, "MOST_CELLS", office.probability.size)
+    replays, n_small = Replays(stretches, office, 2, 0, KeptRuns()), len(made)
+    large = replays.of(settings, 2)
+    assert len(made) == n_small + 2
+    assert len(replays._run._emulators) == 1
+    for key, trials in small.items():
+        for one, other in zip(trials, large[key], strict=True):
+            np.testing.assert_array_equal(one.column("mean"), other.column("mean"))
+    # Other processes make theirs.
+    assert not pickle.loads(pickle.dumps(replays._run))._emulators
 
 
 def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, stretches, tmp_path, monkeypatch):

@@ -161,7 +161,7 @@ def test_beam_models_are_translated_with_the_reasons_why_not_exactly(params):
             None,
             "mrpt has no model that weighs as nav2's likelihood_field does: nav2's likelihood_field takes 1 \\+",
         ),
-        ("nav2", {}, "beluga", "beam", r"takes 1 \+ the sum of p\^3 over fields, beluga's beam takes a sum of p\^3"),
+        ("nav2", {}, "beluga", "beam", r"takes 1 \+ the sum of p\^3 over end points, beluga's beam takes a sum"),
         ("nav2", {"laser_model_type": "beam"}, "f1tenth", None, "f1tenth has no model that weighs as nav2's beam"),
         ("nav2", {}, "ros9", None, "stack: expected one of nav2"),
         ("nav2", {}, "beluga", "table", "model: beluga has likelihood_field"),

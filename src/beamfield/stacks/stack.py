@@ -61,8 +61,8 @@ class Weight:
     has_exponent: bool = False
 
 
-FIELD_CUBES = Weight("1 + the sum of p^3 over fields", of_field=True, is_product=False)
-FIELD_PRODUCT = Weight("the product of p over fields", of_field=True, is_product=True)
+FIELD_CUBES = Weight("1 + the sum of p^3 over end points", of_field=True, is_product=False)
+FIELD_PRODUCT = Weight("the product of p over end points", of_field=True, is_product=True)
 RAY_CUBES = Weight("a sum of p^3 over ray casts", of_field=False, is_product=False)
 RAY_LOGS = Weight("1 + the sum of log p over ray casts", of_field=False, is_product=True)
 RAY_PRODUCT = Weight("the product of p over ray casts", of_field=False, is_product=True)

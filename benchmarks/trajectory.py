@@ -1,6 +1,6 @@
 """Fit trajectories to logs, and compare with exact truth (simulations) or with references (real logs).
 
-Run: python benchmarks/trajectory.py [simulated|real|halves|all] [FOLDER WITH DATA]
+Run: python benchmarks/trajectory.py [simulated|real|halves|wheels|all] [FOLDER WITH DATA]
 
 - Simulations have exact truth: offices, a corridor 60 m long without ends in sight, and a Pioneer's sensor in the map
   that the real Stage log was recorded in. Odometry drifts with the noise of `OdometryNoise`.
@@ -8,6 +8,8 @@ Run: python benchmarks/trajectory.py [simulated|real|halves|all] [FOLDER WITH DA
   true poses are up to one sample (0.1 s) beside the scans. The second row has the map 0.36% larger.
 - Wean Hall and TurtleBot 4 have references that were fitted to the same maps, good to about 0.05 m.
 - "halves" fits the poses of the real logs by every other beam, as ``beamfield calibrate`` does for a log without poses.
+- "wheels" fits the real logs, three simulated offices, and intel in a map of its own, with odometry that is wrong
+  throughout: in its distances, in its turns, or turning per metre. Half a metre off is wrong.
 
 "in 95%" is the share of scans whose true position lies in the ellipse; "NEES" the mean square of its error in standard
 deviations, per axis: 1 if the ellipses are right, less if they are too large. "seconds" are the process's own.
@@ -20,16 +22,18 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from beamfield.geometry import wrap_angle
+from beamfield.errors import TrajectoryNotFoundError
+from beamfield.geometry import FloatArray, between, chained, wrap_angle
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.localization.fitted_poses import cross_fit_poses
 from beamfield.localization.trajectory import TrajectoryFit, fit_trajectory, position_deviations
+from beamfield.maps.mapping import build_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_parameters import BeamParameters
@@ -39,10 +43,14 @@ from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import drawn_readings, simulate_log
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 from fitted_poses import walls_moved
+from followed_logs import offices
+from half_maps import LOGS as MAPLESS
 from tables import print_table
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 CHI_SQUARE_95 = 5.991
+# Metres that a pose of a course that was found may be off.
+RIGHT = 0.5
 SENSOR = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
 PEOPLE = BeamParameters(0.55, 0.30, 0.05, 0.10, 0.05, 0.4)
 FINE = BeamParameters(0.85, 0.06, 0.03, 0.06, 0.015, 0.6)
@@ -53,6 +61,9 @@ Case = tuple[str, SensorLog, OccupancyGrid]
 def main(which: str, data: Path) -> None:
     if which == "halves":
         print_table([halved(*case) for case in real(data)], digits=3)
+        return
+    if which == "wheels":
+        wheels(data)
         return
     cases = {"simulated": simulated, "real": real}
     for name in cases if which == "all" else (which,):
@@ -83,6 +94,60 @@ def halved(name: str, log: SensorLog, grid: OccupancyGrid) -> dict[str, Any]:
         "median m": float(np.median(off)), "95% m": float(np.quantile(off, 0.95)), "largest m": float(off.max()),
         "stated, per axis m": fitted.deviation, "seconds": round(time.process_time() - before, 1),
     }  # fmt: skip
+
+
+def wheels(data: Path) -> None:
+    """Print how many logs are found, by how wrong their odometry is."""
+    cases = [case for case in real(data) if "larger" not in case[0]]
+    cases += [(name, log, grid) for name, (log, grid) in offices().items()]
+    intel = MAPLESS["intel"](data)
+    cases.append(("intel", intel, build_map(intel)))
+    rows = []
+    for wrong in WRONG_WHEELS:
+        outcomes: dict[str, list[str]] = {"found": [], "wrong": [], "refused": []}
+        largest = 0.0
+        for name, log, grid in cases:
+            try:
+                fit = fit_trajectory(replace(log, odometry=wrong.applied_to(log.odometry)), grid)
+            except TrajectoryNotFoundError:
+                outcomes["refused"].append(name)
+                continue
+            off = float(np.nanmax(np.hypot(*(fit.poses - log.poses)[fit.trusted, :2].T)))
+            outcomes["found" if off <= RIGHT else "wrong"].append(name)
+            largest = max(largest, off)
+        rows.append({
+            "distances": wrong.distance, "turns": wrong.turn, "deg per metre": wrong.degrees_per_metre,
+            "found": len(outcomes["found"]), "largest error m": largest,
+            "wrong": ", ".join(outcomes["wrong"]) or "-", "refused": ", ".join(outcomes["refused"]) or "-",
+        })  # fmt: skip
+        print(rows[-1], file=sys.stderr)
+    print_table(rows, digits=3)
+
+
+class WrongWheels(NamedTuple):
+    """Odometry whose distances and turns are so many times the true ones, and that turns without the robot."""
+
+    distance: float = 1.0
+    turn: float = 1.0
+    degrees_per_metre: float = 0.0
+
+    def applied_to(self, odometry: FloatArray) -> FloatArray:
+        """Return odometry (t, 3) with these errors; NaN where there is none."""
+        known = np.isfinite(odometry).all(axis=1)
+        steps = between(odometry[known][:-1], odometry[known][1:])
+        turns = self.turn * steps[:, 2] + np.radians(self.degrees_per_metre) * steps[:, 0]
+        changed: FloatArray = np.full_like(odometry, np.nan)
+        changed[known] = chained(np.zeros(3), np.column_stack([self.distance * steps[:, :2], turns]))
+        return changed
+
+
+WRONG_WHEELS = (
+    WrongWheels(),
+    *(WrongWheels(distance=factor) for factor in (0.7, 0.8, 0.9, 1.1, 1.25, 1.4)),
+    *(WrongWheels(turn=factor) for factor in (0.6, 0.8, 0.9, 1.1, 1.25, 1.5)),
+    *(WrongWheels(degrees_per_metre=degrees) for degrees in (-12.0, -8.0, -3.5, 2.0, 5.0, 15.0)),
+    WrongWheels(0.85, 1.15, 4.0), WrongWheels(1.15, 0.85, -4.0),
+)  # fmt: skip
 
 
 def errors(fit: TrajectoryFit, log: SensorLog) -> dict[str, Any]:

@@ -252,12 +252,24 @@ def test_interpolated_odometry_is_no_slip_and_explains_scans_that_do_not_fit(dri
     assert ("no odometry" in poor.why, poor.do) == (True, "Record the odometry throughout.")
 
 
-def test_distances_that_are_wrong_by_a_scale_are_named(drive: SensorLog, office: OccupancyGrid):
-    log = drive.select(np.arange(100))
-    steps = between(log.odometry[:-1], log.odometry[1:]) * [1.1, 1.1, 1.0]
-    fit = fit_trajectory(replace(log, odometry=chained(np.zeros(3), steps)), office, start=log.poses[0])
+@pytest.mark.parametrize(
+    ("distance", "turn", "degrees_per_metre", "named"),
+    [
+        (1.25, 1.0, 0.0, {"odometry-scale"}),
+        (0.85, 1.15, 6.0, {"odometry-scale", "odometry-turn-scale", "odometry-drift"}),
+    ],
+)
+def test_odometry_that_is_wrong_throughout_is_followed_and_named(
+    drive: SensorLog, office: OccupancyGrid, distance, turn, degrees_per_metre, named
+):
+    log = drive.select(np.arange(240))
+    steps = between(log.odometry[:-1], log.odometry[1:])
+    turns = turn * steps[:, 2] + np.radians(degrees_per_metre) * steps[:, 0]
+    wrong = chained(np.zeros(3), np.column_stack([distance * steps[:, :2], turns]))
+    fit = fit_trajectory(replace(log, odometry=wrong), office)
     (finding,) = [one for one in fit.findings if one.name == "odometry-scale"]
-    assert finding.values["scale"] == pytest.approx(1.0 / 1.1 - 1.0, abs=0.03)
+    assert finding.values["scale"] == pytest.approx(1.0 / distance - 1.0, abs=0.03)
+    assert {one.name for one in fit.findings if one.severity == "warning"} == named
     assert distances(fit, log).max() < 0.1
 
 

@@ -212,7 +212,9 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
     direction
         1 for forwards, -1 for backwards.
     covariance
-        (3, 3) of the first pose, used up.
+        (7, 7) of the first pose and of systematic errors of the odometry, used up: of its distances and its turns,
+        relative, radians that the robot turns per metre without its noticing, and radians between where it heads and
+        where it drives. All are 0 at first.
     poses, costs
         (n, 3) and (n,) overwritten from the start to the end of the log in that direction: where the robot is then
         thought to be, and the cost in nats of the scan and of the correction.
@@ -220,15 +222,20 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
     n = first.size - 1
     variances, information, prior, inverse = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     gradient, predicted, difference, pull = np.empty(6), np.empty(3), np.empty(3), np.empty(3)
+    systematic, motion, rows = np.zeros(4), np.zeros((3, 7)), np.empty((3, 7))
     i = start
     while True:
         pose = poses[i]
         for j in range(3):
             predicted[j] = pose[j]
-        if not invert_3x3(covariance, prior):
+            for k in range(3):
+                inverse[j, k] = covariance[j, k]
+        if not invert_3x3(inverse, prior):
             for j in range(3):
+                for k in range(7):
+                    covariance[j, k] = covariance[k, j] = 1.0 if j == k else 0.0
                 for k in range(3):
-                    covariance[j, k] = prior[j, k] = 1.0 if j == k else 0.0
+                    prior[j, k] = 1.0 if j == k else 0.0
         ends = points[first[i] : first[i + 1]]
         share = independent / max(1, ends.shape[0])
         for _ in range(TRACK_STEPS):
@@ -255,36 +262,88 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
         for j in range(3):
             costs[i] += 0.5 * difference[j] * _dot(prior[j], difference)
         if invert_3x3(information, inverse):
-            for j in range(3):
-                for k in range(3):
-                    covariance[j, k] = inverse[j, k]
+            _learn_systematic(difference, prior, inverse, covariance, systematic)
         following = i + direction
         if following < 0 or following >= n:
             return
-        if direction > 0:
-            ux, uy, ut = steps[i, 0], steps[i, 1], steps[i, 2]
-        else:
-            c, s = math.cos(steps[following, 2]), math.sin(steps[following, 2])
-            ux = -c * steps[following, 0] - s * steps[following, 1]
-            uy = s * steps[following, 0] - c * steps[following, 1]
-            ut = -steps[following, 2]
+        step = steps[i] if direction > 0 else steps[following]
+        c, s = (1.0 + systematic[0]) * math.cos(systematic[3]), (1.0 + systematic[0]) * math.sin(systematic[3])
+        ux, uy = c * step[0] - s * step[1], s * step[0] + c * step[1]
+        ut = (1.0 + systematic[1]) * step[2] + systematic[2] * step[0]
+        if direction < 0:
+            c, s = math.cos(ut), math.sin(ut)
+            ux, uy, ut = -c * ux - s * uy, s * ux - c * uy, -ut
         c, s = math.cos(pose[2]), math.sin(pose[2])
         x, y = c * ux - s * uy, s * ux + c * uy
         poses[following, 0], poses[following, 1], poses[following, 2] = pose[0] + x, pose[1] + y, pose[2] + ut
+        # Derivatives of the next pose by this one and by the systematic errors.
+        motion[0, 0] = motion[1, 1] = motion[2, 2] = 1.0
+        motion[0, 2], motion[1, 2] = -y, x
+        motion[0, 3], motion[1, 3] = x / (1.0 + systematic[0]), y / (1.0 + systematic[0])
+        motion[2, 4], motion[2, 5] = direction * step[2], direction * step[0]
+        motion[0, 6], motion[1, 6] = -y, x
+        if direction < 0:
+            for j in range(4, 6):
+                motion[0, j], motion[1, j] = -y * motion[2, j], x * motion[2, j]
         step_variances(ux, uy, ut, step_noise, variances)
-        # J C J' with the heading's column of J, (-y, x, 1); first its rows, then its columns.
-        for j in range(3):
-            covariance[0, j] -= y * covariance[2, j]
-            covariance[1, j] += x * covariance[2, j]
-        for j in range(3):
-            covariance[j, 0] -= y * covariance[j, 2]
-            covariance[j, 1] += x * covariance[j, 2]
+        _propagate(motion, rows, covariance)
         covariance[0, 0] += c * c * variances[0] + s * s * variances[1]
         covariance[0, 1] += c * s * (variances[0] - variances[1])
         covariance[1, 0] += c * s * (variances[0] - variances[1])
         covariance[1, 1] += s * s * variances[0] + c * c * variances[1]
         covariance[2, 2] += variances[2]
         i = following
+
+
+@kernel
+def _propagate(motion: Floats, rows: Floats, covariance: Floats) -> None:
+    """Replace the covariance of pose and systematic errors by that after a move; motion (3, 7) has its derivatives."""
+    for j in range(3):
+        for k in range(7):
+            rows[j, k] = 0.0
+            for m in range(7):
+                rows[j, k] += motion[j, m] * covariance[m, k]
+    for j in range(3):
+        for k in range(7):
+            covariance[j, k] = rows[j, k]
+    for j in range(3):
+        for k in range(7):
+            rows[j, k] = 0.0
+            for m in range(7):
+                rows[j, k] += motion[j, m] * covariance[k, m]
+    for j in range(3):
+        for k in range(7):
+            covariance[k, j] = rows[j, k]
+
+
+@kernel
+def _learn_systematic(difference: Floats, prior: Floats, corrected: Floats, covariance: Floats, systematic: Floats
+                      ) -> None:  # fmt: skip
+    """Take from a pose's correction what it says about the odometry's systematic errors.
+
+    `prior` is the inverse of the pose's covariance before, `corrected` its covariance after the correction.
+    """
+    gain = np.empty((4, 3))
+    for j in range(4):
+        for k in range(3):
+            gain[j, k] = 0.0
+            for m in range(3):
+                gain[j, k] += covariance[3 + j, m] * prior[m, k]
+            systematic[j] += gain[j, k] * difference[k]
+    for j in range(3):
+        for k in range(3):
+            change = corrected[j, k] - covariance[j, k]
+            for m in range(4):
+                for n in range(4):
+                    covariance[3 + m, 3 + n] += gain[m, j] * change * gain[n, k]
+    for k in range(3):
+        for j in range(3):
+            covariance[j, k] = corrected[j, k]
+        for j in range(4):
+            covariance[3 + j, k] = 0.0
+            for m in range(3):
+                covariance[3 + j, k] += gain[j, m] * corrected[m, k]
+            covariance[k, 3 + j] = covariance[3 + j, k]
 
 
 @inlined_kernel

@@ -140,7 +140,7 @@ def choose_course(
         judged = search(log, steps, put_right)
         first = first or tuple(one for one, _ in judged[:2])
         if judged[0][0].misfit > (MOST_COST if len(judged[0][1].jumps) else limit):
-            judged = standing_out(judged, start, len(drive.scans))
+            judged = standing_out(judged, start, len(drive.scans)) or (_steady(judged) if start is not None else [])
         if not judged:
             continue
         hypotheses = tuple(one for one, _ in judged[:2])
@@ -221,6 +221,11 @@ def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
 
 
+def _steady(judged: list[Judged]) -> list[Judged]:
+    """Return the courses without jumps that are believed from a start that is given, though others fit better."""
+    return [(one, course) for one, course in judged if not len(course.jumps) and one.misfit <= MOST_COST_FROM_START]
+
+
 def _refuse_mirrored(log: SensorLog, drive: Drive, search: Callable[..., list[Judged]], limit: float,
                      wrong: str = MIRRORED_SCANS) -> None:  # fmt: skip
     """Refuse a log that fits the map, up to a misfit, if its scans are mirrored."""
@@ -252,6 +257,11 @@ def _hypotheses(
         # None else begins there: those that fit worse tell by how much the best one stands out.
         elsewhere = [_judged(log, grid, drive, one) for one in other_courses(followed, best[1], None)[:3]]
         others = elsewhere if all(one.cost > best[0].cost for one, _ in elsewhere) else []
+    if start is not None and len(best[1].jumps) and best[0].misfit > MOST_COST:
+        # Beyond the map nothing fits as well as some other place in it.
+        known = {int(course.which[0]) for _, course in others}
+        steady = [one for one in other_courses(followed, None, start)[:1] if int(one.which[0]) not in known]
+        others += [_judged(log, grid, drive, one) for one in steady]
     return sorted([best, *others], key=lambda pair: pair[0].cost)
 
 

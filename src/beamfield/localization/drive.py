@@ -104,6 +104,13 @@ def with_points(drive: Drive, log: SensorLog) -> Drive:
     return replace(drive, points=points, first=first)
 
 
+def without_points(drive: Drive, blind: NDArray[np.bool_]) -> Drive:
+    """Return the drive without the end points of some of its scans (n,)."""
+    counts = np.diff(drive.first)
+    first = np.concatenate([[0], np.cumsum(np.where(blind, 0, counts))])
+    return replace(drive, points=drive.points[np.repeat(~blind, counts)], first=first)
+
+
 def mirrored(drive: Drive) -> list[tuple[str, Drive]]:
     """Return the log with odometry in the senses that it may have been meant in, and what was changed."""
     return [

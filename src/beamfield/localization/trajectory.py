@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNo
 from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray, as_pose, chained
 from beamfield.localization.course_choice import FoundCourse, StartHypothesis, choose_course
-from beamfield.localization.drive import Drive, prepare, with_points
+from beamfield.localization.drive import Drive, prepare, with_points, without_points
 from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
 from beamfield.localization.mapped_area import MappedArea
 from beamfield.localization.robot_faults import OF_THE_ROBOT
@@ -239,9 +240,16 @@ def fit_course(
     _check_points(drive)
     poses, cut = _spread_out(drive, found.course)
     report("fitting all poses", 0, 1)
-    fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
-    beyond = MappedArea(grid).is_beyond(fitted.poses)
+    report_fit, area = partial(report, "fitting all poses"), MappedArea(grid)
+    fitted = smooth(drive, walls, poses, cut, report_fit)
+    beyond = area.is_beyond(fitted.poses)
     trusted, more = judge_trajectory(drive, walls, fitted, cut, beyond, max_deviation)
+    if (beyond & ~trusted).any():
+        # Walls that the map does not show pull a robot to those that it does; there only odometry holds it.
+        within = without_points(drive, ~trusted[drive.scans])
+        fitted = smooth(within, walls, fitted.poses, cut, report_fit)
+        beyond = area.is_beyond(fitted.poses)
+        trusted, more = judge_trajectory(drive, walls, fitted, cut, beyond, max_deviation)
     of_wheels = () if log.has_odometry else OF_WHEELS
     turns = turn_errors(drive, fitted.poses, cut)
     seen = [*turn_findings(turns), *drift_at_rest(drive, fitted.poses), *odometry_findings(drive, found.course, fitted)]

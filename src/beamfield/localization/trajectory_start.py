@@ -29,10 +29,16 @@ SEARCH_CELL, SEARCH_SIGMA, SEARCH_STEP = 0.1, 0.2, np.radians(2.0)
 FOLLOW_HITS = (HitNoise(0.1, 0.02, -0.2, 0.0), HitNoise(0.2, 0.02, -DEEPEST_HIT, 0.0))
 # Meanwhile odometry errs by so much.
 TRACK_STEPS = StepNoise(0.05**2, 0.03**2, 0.03**2, 0.1**2, 0.02**2, 1e-6)
+# What is taken to be known about its systematic errors: of distances and turns, relative, radians turned per metre, and
+# radians between where the robot heads and where it drives, as with a laser whose mount is wrong.
+TRACK_SYSTEMATIC = (0.1, 0.1, 0.05, 0.05)
 # A scan is worth so many independent readings when hypotheses are compared.
 INDEPENDENT = 6.0
 # How uncertain a pose of the search is: metres, radians.
 SEARCH_DEVIATION = (0.15, np.radians(2.0))
+# So many of the cheapest are followed again, from either end of the log: what slid along a corridor at first may know
+# at its end where it is.
+FROM_ENDS = 4
 # A pose that another hypothesis passes this near at its place is not followed again: metres, radians.
 SAME = (0.05, np.radians(1.0))
 # Nats that a jump from one hypothesis to another costs: a robot is seldom carried away.
@@ -143,19 +149,19 @@ def course_through(
     return Course(poses, cost, np.array(jumps, dtype=np.int64), which)
 
 
-def other_courses(followed: list[Followed], best: Course, start: FloatArray | None) -> list[Course]:
+def other_courses(followed: list[Followed], best: Course | None, start: FloatArray | None) -> list[Course]:
     """Return the hypotheses that are elsewhere most of the time, cheapest first, each as a course without jumps.
 
     Of a start that is given, only those that begin there.
     """
     others: list[Course] = []
-    n = len(best.which)
+    known = [] if best is None else [best]
     for cost, which in sorted((float(one.costs.sum()), which) for which, one in enumerate(followed)):
         one = followed[which]
         if is_at(one.poses[0], start) and all(
-            _share_apart(one.poses, course.poses) > 0.5 for course in [best, *others]
+            _share_apart(one.poses, course.poses) > 0.5 for course in [*known, *others]
         ):
-            others.append(Course(one.poses, cost, np.empty(0, np.int64), np.full(n, which)))
+            others.append(Course(one.poses, cost, np.empty(0, np.int64), np.full(len(one.costs), which)))
     return others
 
 
@@ -181,6 +187,8 @@ def _follow_all(
     for place, pose in begun:
         if not any(_near(one.poses[place], pose, *SAME) for one in followed):
             followed.append(_follow(drive, walls, place, pose, hits, judged))
+    for one in sorted(followed, key=lambda one: float(one.costs.sum()))[:FROM_ENDS]:
+        followed += [_follow(drive, walls, end, one.poses[end], hits, judged) for end in (0, len(one.poses) - 1)]
     return followed
 
 
@@ -190,7 +198,8 @@ def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray, hits: HitN
     steps = drive.steps_between_scans
     for direction in (-1, 1):
         poses[place] = pose
-        covariance = np.diag([SEARCH_DEVIATION[0] ** 2] * 2 + [SEARCH_DEVIATION[1] ** 2])
+        x_y, heading = SEARCH_DEVIATION
+        covariance = np.diag(np.square([x_y, x_y, heading, *TRACK_SYSTEMATIC]))
         kernels.track(drive.points, drive.first, steps, walls, hits, judged, TRACK_STEPS, INDEPENDENT, place,
                       direction, poses, covariance, costs)  # fmt: skip
     return Followed(poses, costs)

@@ -6,6 +6,8 @@ from benchmarks.rooms import Room
 from scipy.stats import chi2
 
 from beamfield.errors import InvalidInputError
+from beamfield.features.lines import find_lines
+from beamfield.features.minima import find_local_minima
 from beamfield.features.poles import Pole, find_poles
 from beamfield.features.sweep import RangeNoise
 from beamfield.geometry import invert, transform_points, wrap_angle
@@ -132,6 +134,20 @@ def test_a_pole_with_nothing_behind_and_missing_readings_is_found():
     [pole] = find_poles(Scan(ranges, finder), NOISE)
     np.testing.assert_allclose(pole.measurement, [np.hypot(2, 0.1), np.arctan2(0.1, 2), 0.4], atol=0.01)
     assert find_poles(Scan(np.full(201, np.nan), finder), NOISE) == []
+
+
+@pytest.mark.parametrize("nearest", [0.0, 1e-6])
+def test_readings_at_the_sensor_itself_are_passed_over(nearest):
+    room = Room.from_outlines(HALL, poles=[(2.0, 0.0, 0.15)])
+    ranges = room.cast((0, 0, 0), FINDER)[0]
+    [before] = find_poles(Scan(ranges, FINDER), NOISE)
+    for blinded in (slice(0, 5), slice(100, 140)):
+        ranges[blinded] = nearest
+    scan = Scan(ranges, FINDER)
+    [pole] = find_poles(scan, NOISE)
+    np.testing.assert_allclose(pole.measurement, before.measurement, atol=1e-9)
+    assert len(find_lines(scan, NOISE)) >= 4
+    assert all(minimum.measurement[0] > 1.0 for minimum in find_local_minima(scan, NOISE))
 
 
 @pytest.mark.parametrize(

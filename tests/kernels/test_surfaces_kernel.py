@@ -16,7 +16,7 @@ def wall(spacing_deg: float, noise: float, rng: np.random.Generator) -> tuple[np
 
 
 def elements_of(mounts: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    joined, out = np.empty(len(ranges), np.bool_), np.empty((4 * len(ranges), surfaces.COLUMNS))
+    joined, out = np.empty(len(ranges), np.bool_), np.empty((5 * len(ranges), surfaces.COLUMNS))
     surfaces.find_surfaces(mounts, ranges, 0.0, 0.0, joined, np.empty(len(ranges)))
     noise = surfaces.range_noise(mounts[:, 2], ranges, joined)
     surfaces.find_surfaces(mounts, ranges, 0.0, noise, joined, np.empty(len(ranges)))
@@ -48,6 +48,20 @@ def test_a_near_wall_stays_a_wall_however_dense_its_noisy_end_points(
     along = np.where(lines, found[:, surfaces.NX] ** 2, 1.0)
     assert along.mean() < 0.06
     assert np.abs(found[lines, surfaces.Y] - 1.0).max() < 0.05
+
+
+def test_no_gap_is_longer_than_there_is_room_for_elements(rng: np.random.Generator) -> None:
+    bearings = np.radians(np.arange(0.0, 360.0, 4.0))
+    mounts = np.column_stack([np.zeros((len(bearings), 2)), bearings])
+    for _ in range(50):
+        # In foliage, say, ranges scatter by more than a sixth of a metre.
+        ranges = np.abs(10.0 + rng.normal(size=90))
+        points = ranges[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+        joined, out = np.empty(90, np.bool_), np.empty((90 * 90, surfaces.COLUMNS))
+        surfaces.find_surfaces(mounts, ranges, 0.0, 1.0, joined, np.empty(90))
+        gaps = np.hypot(*(np.roll(points, -1, axis=0) - points)[joined].T)
+        assert gaps.max() <= surfaces.LONGEST_GAP
+        assert surfaces.fit_elements(points, ranges, joined, 1.0, out) <= 4 * 90
 
 
 def test_a_corner_is_not_rounded_by_wide_fits() -> None:

@@ -148,6 +148,19 @@ def test_a_clock_that_jumps_is_named_with_when_and_by_how_much(tour: SensorLog, 
     assert found.text.startswith("A clock jumped, about ")
 
 
+def test_a_clock_that_jumps_while_the_robot_stands_jumped_about_the_middle_of_that(tour: SensorLog):
+    half, stay = len(tour) // 2, 160
+    scans = np.concatenate([np.arange(half), np.full(stay, half), np.arange(half, len(tour))])
+    standing = SensorLog(
+        tour.finder, tour.stamps[0] + np.arange(len(scans)) / 8.0, tour.ranges[scans], tour.poses[scans],
+        tour.odometry[scans],
+    )  # fmt: skip
+    late = stamped_late(standing, np.where(np.arange(len(scans)) < half + 10, 0.0, 0.5))
+    found = scan_delay(late.select(np.flatnonzero(np.isfinite(late.odometry).all(axis=1))))
+    assert found is not None
+    assert found.values["time_s"] == pytest.approx(40.0, abs=5.0)
+
+
 def test_where_poses_seem_to_slip_scans_are_aligned_though_the_poses_show_no_delay(
     tour: SensorLog, office: OccupancyGrid, course: FoundCourse, monkeypatch: pytest.MonkeyPatch
 ):

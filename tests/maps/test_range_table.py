@@ -112,6 +112,15 @@ def test_what_has_no_place_is_cast_exactly_and_walls_are_0(rooms, table):
     assert (blocked.expected_ranges(behind, finder) == 0.0).all()
 
 
+def test_on_the_border_of_a_free_cell_a_pose_is_in_it(rooms, table):
+    """As the poses of a lattice are whose step is twice the map's; rounding may put them into the wall beside."""
+    corners = rooms.to_map(np.argwhere(rooms.free)[:, ::-1].astype(float))
+    poses = np.column_stack([corners, np.zeros(len(corners))])
+    finder = RangeFinder.from_bearings([0.1, 1.6, 3.2, 4.8], 20.0)
+    assert (RayCaster(rooms).expected_ranges(poses, finder).max(axis=1) > 0.0).all()
+    assert (table.expected_ranges(poses, finder).max(axis=1) > 0.0).all()
+
+
 def test_mounts_of_their_own_and_thread_counts_change_nothing(rooms, table):
     poses = free_rays(rooms, 600, 9)
     finder = RangeFinder.from_bearings(np.linspace(-2.0, 2.0, 31), 8.0, mount=(0.2, -0.1, 0.5))

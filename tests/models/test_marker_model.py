@@ -238,6 +238,16 @@ def test_sharp_noise_does_not_slip_between_the_cells_of_the_histogram(rng):
     np.testing.assert_allclose(poses.mean(axis=0), truth, atol=1e-8)
 
 
+@pytest.mark.parametrize("sigma_angle", [1e-12, 1e-9])
+def test_markers_that_contradict_each_other_are_drawn_from_however_sharp_the_noise(rng, sigma_angle):
+    model = build(sigma_angle=sigma_angle)
+    for turn in (0.5, 1.0, 2.0):
+        image = model.expected([1.0, 1.5, 0.3])
+        image[:, 2] += [0.0, turn, 1.1 * turn]
+        poses = model.sample_poses(MarkerDetections(MARKERS.ids, image), 50, rng)
+        assert np.isfinite(poses).all()
+
+
 def test_any_number_of_poses_is_drawn(rng):
     z = MarkerDetections([4], [[300.0, 150.0, 2.9]])
     assert build().sample_poses(z, 0, rng).shape == (0, 3)

@@ -151,13 +151,14 @@ def split_at_gaps(sweep: Sweep, noise: RangeNoise, *, max_gap: float) -> list[ND
 
     Two neighbours part when they are farther apart than a wall under `GRAZING_ANGLE` puts them, with four deviations of
     the noise added (Borges and Aldon's adaptive breakpoints), or farther than `max_gap` metres. Missing readings in
-    between widen what such a wall may do; beams without return are passed over.
+    between widen what such a wall may do; beams without return are passed over, and readings no longer than their
+    noise, such as 0: their end points lie in no sure direction.
 
     G. A. Borges and M.-J. Aldon, "Line extraction in 2D range images for mobile robotics", Journal of Intelligent and
     Robotic Systems 40, 2004.
     """
     require(max_gap > 0.0, "max_gap", "a positive number of metres", max_gap)
-    places = np.flatnonzero(sweep.returned)
+    places = np.flatnonzero(sweep.returned & (sweep.ranges > noise.sigma_range))
     if len(places) == 0:
         return []
     step = np.diff(sweep.angles[places])

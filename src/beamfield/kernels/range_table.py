@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.elementary import cos_sin
+from beamfield.kernels.elementary import SNAP, cos_sin
 from beamfield.kernels.jit import integer, kernel
 
 # The code of a ray that meets nothing; others are whole quanta.
@@ -212,8 +212,9 @@ def _find_starts(poses: Floats, frame: tuple[float, float, float], fan: Floats, 
     for g in range(count):
         b = (first + g) % per_pose
         c, s, heading = groups[COS + g], groups[SIN + g], groups[HEADING + g] * headings
-        x = groups[X + g] + (c * fan[0, b] - s * fan[1, b])
-        y = groups[Y + g] + (s * fan[0, b] + c * fan[1, b])
+        # Just below the border of a cell is on it, as for the ray caster.
+        x = groups[X + g] + (c * fan[0, b] - s * fan[1, b]) + SNAP
+        y = groups[Y + g] + (s * fan[0, b] + c * fan[1, b]) + SNAP
         if not same_mount:
             c, s = c * fan[2, b] - s * fan[3, b], s * fan[2, b] + c * fan[3, b]
             heading += fan[4, b]

@@ -28,6 +28,7 @@ LONGEST_GAP = 1.0
 # ... and not seen more grazingly than this (sine of 8 degrees), which is how edges of what stands in front look ...
 SMALLEST_SINE = 0.139
 # ... or if they are this close anyway, or this many deviations of the noise: it turns short gaps into any direction.
+# Both are at most as long as the longest gap: callers have room for the elements that fill that one.
 NOISY_GAP, NOISY_GAP_DEVIATIONS = 0.1, 6.0
 # A line is fitted to the end points of one surface within this distance, or to the neighbours if they are further.
 FIT_RADIUS = 0.15
@@ -54,7 +55,7 @@ def find_surfaces(
     `mounts` (k, 3) of one origin in the order of their directions, the last next to the first; `ranges` (k,), NaN
     without end point; their `noise`, 0 if unknown.
     """
-    noisy_gap = max(NOISY_GAP, NOISY_GAP_DEVIATIONS * noise)
+    noisy_gap = min(max(NOISY_GAP, NOISY_GAP_DEVIATIONS * noise), LONGEST_GAP)
     k = ranges.size
     for i in range(k):
         j = (i + 1) % k
@@ -108,7 +109,7 @@ def fill_deviations(bearings: Floats, ranges: Floats, joined: NDArray[np.bool_],
 
 @kernel
 def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], noise: float, out: Floats) -> int:
-    """Fill out (>= 4 k, COLUMNS) with the elements of the end points (k, 2) of one origin; return how many there are.
+    """Fill out (>= 5 k, COLUMNS) with the elements of the end points (k, 2) of one origin; return how many there are.
 
     `noise` is that of `range_noise`. Where beams are dense, it makes a wall's nearest end points look like a cloud that
     has no direction, or any; a line through more of them has the wall's.

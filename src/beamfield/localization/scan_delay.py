@@ -81,7 +81,9 @@ def scan_delay(log: SensorLog, fitted: FloatArray | None = None) -> Finding | No
         return None
     if found.explained >= EXPLAINED and max(abs(found.delay), abs(found.before)) >= LEAST_DELAY:
         if found.jump:
-            return _jump_finding(found, float(log.stamps[pairs[found.jump]] - log.stamps[0]))
+            # Only turns tell: the clock jumped anywhere between the last of the one delay and the first of the other.
+            around = log.stamps[pairs[found.jump - 1 : found.jump + 1]] - log.stamps[0]
+            return _jump_finding(found, float(around.mean()))
         return _finding(found, len(turns))
     if found.jump or abs(found.delay) < SMALL_DELAY or found.explained < EXPLAINED_BY_SMALL:
         return None

@@ -85,8 +85,8 @@ def _elements(mounts: FloatArray, ranges: FloatArray, joined: NDArray[np.bool_],
     in_company = joined | np.roll(joined, 1)
     lone = points[~in_company & ~np.isnan(ranges)]
     kept = np.flatnonzero(in_company)
-    # A gap of a metre is filled with three elements at most.
-    elements = np.zeros((4 * len(kept) + len(lone), kernels.COLUMNS))
+    # A gap of a metre is filled with three elements, or four if rounding makes it longer.
+    elements = np.zeros((5 * len(kept) + len(lone), kernels.COLUMNS))
     n = 0
     if len(kept):
         noise = kernels.range_noise(mounts[:, 2], ranges, joined)

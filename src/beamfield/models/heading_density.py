@@ -76,7 +76,7 @@ class HeadingDensity:
         while True:
             above = bend * width**2 / 8.0
             log_height = np.maximum(self.log(starts), self.log(starts + width)) + above
-            kept = log_height > log_height.max() - above - NEGLIGIBLE
+            kept = log_height >= log_height.max() - above - NEGLIGIBLE
             starts, log_height = starts[kept], log_height[kept]
             if width * np.sqrt(bend) < 1.0 / CELLS_PER_DEVIATION:
                 return starts, width, log_height

@@ -133,12 +133,6 @@ def test_last_cell_is_reached_when_the_ray_enters_it():
     assert cells[:, 1].tolist() == [0, 0, 0, 0]
 
 
-def test_tolerances_are_those_of_the_ray_caster():
-    from beamfield.kernels import exact_rays
-
-    assert kernels.TIE == exact_rays.TIE
-
-
 def test_streaming_scans_gives_the_map_of_the_whole_log(rng):
     finder = RangeFinder.from_bearings(np.linspace(-2.0, 2.0, 31), max_range=6.0, mount=(0.2, -0.1, 0.5))
     poses = np.cumsum(rng.normal(0.0, [1.0, 1.0, 0.3], (40, 3)), axis=0)

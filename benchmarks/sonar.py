@@ -159,7 +159,7 @@ def crazyflie(path: Path) -> SensorLog:
     return log.select(np.arange(min(len(log), SCANS_BEFORE_DRIFT)))
 
 
-def held_out_score(log: SensorLog, opening_angle: float, resolution: float = RESOLUTION) -> dict[str, Any]:
+def held_out_score(log: SensorLog, opening_angle: float) -> dict[str, Any]:
     """Fit a log in maps of its halves and score every reading of its held-out blocks.
 
     Parameters
@@ -168,8 +168,6 @@ def held_out_score(log: SensorLog, opening_angle: float, resolution: float = RES
         Scans with poses.
     opening_angle
         Taken for the sensor's, radians, in the maps and in the model; 0 for beams.
-    resolution
-        Of the maps, metres.
 
     Returns
     -------
@@ -177,7 +175,7 @@ def held_out_score(log: SensorLog, opening_angle: float, resolution: float = RES
     share without return; share of readings whose cone meets `nothing`.
     """
     log = replace(log, finder=replace(log.finder, opening_angle=opening_angle))
-    maps = build_cross_fit_maps(log, resolution=resolution)
+    maps = build_cross_fit_maps(log, resolution=RESOLUTION)
     posed = np.isfinite(log.poses).all(axis=1)
     table, _ = cross_fit_table(log, maps, posed, unknown="free")
     held_out = held_out_mask(table.stamps, None)

@@ -146,17 +146,15 @@ class CornerSightings:
         )
 
 
-def learn_corner_noise(sightings: CornerSightings, *, start: CornerNoise = TYPICAL_CORNERS) -> CornerNoise:
+def learn_corner_noise(sightings: CornerSightings) -> CornerNoise:
     """Return the most probable noise of corners, given their sightings at reference poses; its exponent is 1.
 
-    Correspondences are summed over. Each parameter has a prior about `start`, as wide as buildings differ.
+    Correspondences are summed over. Each parameter has a prior about `TYPICAL_CORNERS`, as wide as buildings differ.
 
     Parameters
     ----------
     sightings
         Of scans that are not judged by it, with a map that others drew.
-    start
-        Where the climb starts, and the middle of the prior.
 
     Raises
     ------
@@ -165,7 +163,7 @@ def learn_corner_noise(sightings: CornerSightings, *, start: CornerNoise = TYPIC
     """
     if len(sightings) < FEWEST:
         raise TooLittleDataError(f"noise of corners: {len(sightings)} corners seen; at least {FEWEST} are needed")
-    return most_probable_noise(sightings, start)
+    return most_probable_noise(sightings, TYPICAL_CORNERS)
 
 
 def most_probable_noise(sightings: CornerSightings, start: CornerNoise) -> CornerNoise:

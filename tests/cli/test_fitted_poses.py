@@ -279,10 +279,11 @@ def test_a_map_is_built_at_poses_fitted_to_another(world: Path, tmp_path: Path, 
     assert np.mean(near[row[on_map_too], col[on_map_too]] < 0.15) > 0.85
 
 
-def test_doctor_goes_on_without_poses_where_none_can_be_fitted(world: Path, tmp_path: Path, monkeypatch, capsys):
-    def refuses(*_, **__):
-        raise TrajectoryNotFoundError("no trajectory through this map fits the log")
+def refuses(*_, **__):
+    raise TrajectoryNotFoundError("no trajectory through this map fits the log")
 
+
+def test_doctor_goes_on_without_poses_where_none_can_be_fitted(world: Path, tmp_path: Path, monkeypatch, capsys):
     monkeypatch.setattr(fitted_poses, "fit_trajectory", refuses)
     doctor(world, tmp_path, "lone.carmen", *LONE)
     said = capsys.readouterr()
@@ -292,9 +293,6 @@ def test_doctor_goes_on_without_poses_where_none_can_be_fitted(world: Path, tmp_
 
 @pytest.mark.parametrize(("start", "helps"), [(None, "helps: --start X"), ((1.0, 2.0, 0.0), "helps: another --start")])
 def test_who_gave_a_start_is_not_told_to_give_one(start, helps):
-    def refuses(*_, **__):
-        raise TrajectoryNotFoundError("no trajectory through this map fits the log")
-
     sensor = SimpleNamespace(has_odometry=True, finder=SimpleNamespace(opening_angle=0.0))
     with pytest.raises(FormatError, match=helps):
         fit_in_map(refuses, sensor, None, None, None, path=Path("log.carmen"), start=start)

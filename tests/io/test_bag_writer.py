@@ -17,7 +17,7 @@ from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
 START = 1.7e9
 
 
-def make_log(rng, *, odometry=True, poses=True, n=40, names=("scan",), finder=None) -> ScanLog:
+def make_log(rng, *, odometry=True, poses=True, n=40, names=("scan",)) -> ScanLog:
     """Scans at 10 Hz; odometry at 25 Hz that drifts away from the true poses."""
     track_stamps = START + 0.04 * np.arange(int(n * 2.5) + 1)
     steps = np.column_stack(
@@ -30,7 +30,7 @@ def make_log(rng, *, odometry=True, poses=True, n=40, names=("scan",), finder=No
     sensors = {}
     for i, name in enumerate(names):
         stamps = START + 0.013 * i + 0.1 * np.arange(n)
-        sensor = finder or RangeFinder.from_bearings(
+        sensor = RangeFinder.from_bearings(
             np.linspace(-np.pi, np.pi, 90, endpoint=False), 12.0, mount=(0.2, -0.1 * i, 2.5), min_range=0.1, name=name
         )
         ranges = rng.uniform(0.5, 11.0, (n, sensor.n_beams))

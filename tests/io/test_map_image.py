@@ -37,14 +37,14 @@ def save(tmp_path):
     return save_it
 
 
+def chunk(name: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+
 def png_with_header(
     width: int, height: int, depth: int, colour: int, rows: bytes, *extra: tuple[bytes, bytes]
 ) -> bytes:
     """Return a PNG written by hand, independent of Pillow."""
-
-    def chunk(name: bytes, body: bytes) -> bytes:
-        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-
     header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
     between = b"".join(chunk(*one) for one in extra)
     return (
@@ -338,10 +338,6 @@ def test_pixel_data_in_several_chunks_count_only_while_they_follow_each_other(wr
     rows = b"".join(b"\0" + row.tobytes() for row in rng.integers(0, 256, (50, 40)).astype(np.uint8))
     whole = zlib.compress(rows)
     head = png_with_header(40, 50, 8, 0, b"")[:33]
-
-    def chunk(name: bytes, body: bytes) -> bytes:
-        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-
     parts = [chunk(b"IDAT", part) for part in (whole[:700], b"", whole[700:])]
     grey = read_map_image(write(head + b"".join(parts) + chunk(b"IEND", b""))).grey
     np.testing.assert_array_equal(grey, np.frombuffer(rows, np.uint8).reshape(50, 41)[:, 1:])
@@ -355,9 +351,9 @@ def test_a_png_without_pixel_data_or_with_those_of_a_part_only_is_an_error(write
     head, rest = png_with_header(2, 2, 8, 0, b"\0ab\0cd")[:33], png_with_header(2, 2, 8, 0, b"\0ab\0cd")[33:]
     with pytest.raises(FormatError, match="damaged picture"):
         read_map_image(write(head + rest[-12:]))
-    frame = b"fcTL" + struct.pack(">IIIIIHHBB", 0, 1, 1, 0, 0, 1, 1, 0, 0)
+    frame = chunk(b"fcTL", struct.pack(">IIIIIHHBB", 0, 1, 1, 0, 0, 1, 1, 0, 0))
     with pytest.raises(FormatError, match="some pixels have no data"):
-        read_map_image(write(head + struct.pack(">I", 26) + frame + struct.pack(">I", zlib.crc32(frame)) + rest))
+        read_map_image(write(head + frame + rest))
 
 
 def bmp(width: int, height: int, bits: int, pixels: bytes, compression: int = 0) -> bytes:

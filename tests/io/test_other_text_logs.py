@@ -82,9 +82,9 @@ def test_gmapping_counts_that_disagree_are_refused(tmp_path):
         read_gfs(write(tmp_path, *GFS[:3]))
 
 
-def g2o_scan(i, mount_x=0.1, n=3):
+def g2o_scan(i, n=3):
     ranges = " ".join(str(1 + (i + j) % 5) for j in range(n))
-    return f"ROBOTLASER1 0 -1.0 2.0 1.0 50 0.1 0 {n} {ranges} 0 {i + mount_x} 0 0 {i} 0 0 0 0 0 0 0 {10 + i} nohost {i}"
+    return f"ROBOTLASER1 0 -1.0 2.0 1.0 50 0.1 0 {n} {ranges} 0 {i + 0.1} 0 0 {i} 0 0 0 0 0 0 0 {10 + i} nohost {i}"
 
 
 def test_g2o_vertices_are_the_reference_and_edges_are_left(tmp_path):

@@ -10,10 +10,10 @@ from beamfield.io.logs.wean_log import read_wean_log
 from tests.io.test_carmen import write
 
 
-def l_line(t, x=100.0, y=50.0, theta=0.0, ahead=25.0, ranges=None):
-    laser = f"{x + ahead * np.cos(theta):.6f} {y + ahead * np.sin(theta):.6f} {theta}"
-    values = " ".join(str(v) for v in (ranges if ranges is not None else 100 + np.arange(180)))
-    return f"L {x} {y} {theta} {laser} {values} {t}"
+def l_line(t, x=100.0, theta=0.0, ahead=25.0):
+    laser = f"{x + ahead * np.cos(theta):.6f} {50.0 + ahead * np.sin(theta):.6f} {theta}"
+    values = " ".join(str(v) for v in 100 + np.arange(180))
+    return f"L {x} 50.0 {theta} {laser} {values} {t}"
 
 
 def test_centimetres_become_metres_and_the_lasers_pose_the_mount(tmp_path):

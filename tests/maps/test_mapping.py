@@ -76,8 +76,8 @@ def test_a_scan_changes_a_cell_once_and_hits_come_before_passes():
 
 
 def test_scans_add_up_in_log_odds_and_stay_within_bounds():
-    def p_after(n, z=1.6):
-        return build_map(as_log([[z]] * n, [(0.25, 0.25, 0.0)] * n, AHEAD), resolution=0.5, inverse_model=ODDS)
+    def p_after(n):
+        return build_map(as_log([[1.6]] * n, [(0.25, 0.25, 0.0)] * n, AHEAD), resolution=0.5, inverse_model=ODDS)
 
     np.testing.assert_allclose(p_after(2).probability, [[4 / 13] * 3 + [16 / 17]], rtol=1e-6)
     np.testing.assert_allclose(p_after(50).probability, [[0.03] * 3 + [0.97]], rtol=1e-5)
@@ -131,12 +131,6 @@ def test_last_cell_is_reached_when_the_ray_enters_it():
     kernels.last_cells(x, y, c, np.zeros(4), lengths, cells)
     assert cells[:, 0].tolist() == [3, 0, 2, 3]
     assert cells[:, 1].tolist() == [0, 0, 0, 0]
-
-
-def test_tolerances_are_those_of_the_ray_caster():
-    from beamfield.kernels import exact_rays
-
-    assert kernels.TIE == exact_rays.TIE
 
 
 def test_streaming_scans_gives_the_map_of_the_whole_log(rng):

@@ -34,10 +34,10 @@ def model_of(grid, parameters=PARAMETERS, **options):
     return LikelihoodFieldModel(grid, parameters, **options)
 
 
-def value(dist, parameters=PARAMETERS, max_range=MAX_RANGE):
-    sigma = parameters.sigma_hit
+def value(dist):
+    sigma = PARAMETERS.sigma_hit
     hit = math.exp(-0.5 * (dist / sigma) ** 2) / (sigma * math.sqrt(2 * math.pi))
-    return math.log(parameters.z_hit * hit + parameters.z_rand / max_range)
+    return math.log(PARAMETERS.z_hit * hit + PARAMETERS.z_rand / MAX_RANGE)
 
 
 def poses_in(room, rng, n=200):

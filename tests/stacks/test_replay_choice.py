@@ -178,15 +178,21 @@ def test_poses_drawn_at_random_are_left_out_where_they_lead_astray(office, stret
     assert "settings of sensor, motion noise and recovery were replayed" in replay_tables(choice)
 
 
-def test_seeds_that_are_missing_are_run_and_no_others(office, stretches, monkeypatch):
-    own = ReplaySetting("before", "before", 0.0, "before", nav2_filter())
-    runs: list[int] = []
+@pytest.fixture
+def runs(monkeypatch) -> list[int]:
+    """The seeds that are run."""
+    seen: list[int] = []
 
     def counted(replayed, log, seeds, **options):
-        runs.extend(seeds)
+        seen.extend(seeds)
         return run_trials(replayed, log, seeds, **options)
 
     monkeypatch.setattr(replay_runs, "run_trials", counted)
+    return seen
+
+
+def test_seeds_that_are_missing_are_run_and_no_others(office, stretches, runs):
+    own = ReplaySetting("before", "before", 0.0, "before", nav2_filter())
     stepwise, at_once = (Replays(stretches[:1], office, 10, 7, KeptRuns()) for _ in range(2))
     first = stepwise.of([own], 1)[own.key]
     (grown,), (whole,) = stepwise.of([own], 3)[own.key], at_once.of([own], 3)[own.key]
@@ -218,14 +224,9 @@ def test_models_are_made_once_or_of_large_maps_one_at_a_time(office, stretches, 
     assert not pickle.loads(pickle.dumps(replays._run))._emulators
 
 
-def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, stretches, tmp_path, monkeypatch):
+def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, stretches, tmp_path, runs):
     before, motions = nav2_filter(**ABSURD), MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
     inputs = before, {"before": (KIND, SENSOR)}, motions, 0.5 * office.resolution, stretches, office, FEW
-    runs: list[int] = []
-
-    def counted(replayed, log, seeds, **options):
-        runs.extend(seeds)
-        return run_trials(replayed, log, seeds, **options)
 
     def interrupt(stage: str, done: int, _: int) -> None:
         if stage.startswith("replay: comparing the best") and done == 1:
@@ -236,7 +237,6 @@ def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, stretches,
         with kept_runs(tmp_path / "cache", given) as kept:
             return choose_by_replay(*given, progress, kept)
 
-    monkeypatch.setattr(replay_runs, "run_trials", counted)
     with pytest.raises(KeyboardInterrupt):
         choose(progress=interrupt)
     begun = len(runs)

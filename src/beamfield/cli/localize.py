@@ -179,13 +179,14 @@ def _start(
     """Return the log from where the filter starts, and what it knows there; None: nothing."""
     from beamfield.localization.replay import PoseBelief, reference_start
 
-    if arguments.start is not None:
-        x, y, degrees = arguments.start
+    start = options.start_of(arguments)
+    if start is not None:
+        x, y, _ = start
         if not grid.look_up(grid.free, [x, y]).all():
             raise InvalidInputError(
                 f"--start: {x:g} {y:g} is not in a free cell of {arguments.map} (see beamfield inspect MAP -o see.png)"
             )
-        return sensor, PoseBelief.around([x, y, math.radians(degrees)])
+        return sensor, PoseBelief.around(start)
     if arguments.anywhere or not sensor.has_poses:
         return sensor, None
     first, belief = reference_start(sensor)

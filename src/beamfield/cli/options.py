@@ -6,14 +6,10 @@ import argparse
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from beamfield.cli.parser import count, finite, index, not_negative, positive
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import InvalidInputError
-
-if TYPE_CHECKING:
-    pass
 
 # Not `SUPPORTED` of `beamfield.io.read_log`: that loads the numerical libraries, and --help is to answer at once.
 LOG_FORMATS = (

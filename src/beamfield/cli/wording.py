@@ -21,7 +21,6 @@ _OPTIONS = {
 }
 # Not in a path, a quotation or a longer name.
 _NAME = re.compile(rf"(?<![\w/.'\"-])({'|'.join(_OPTIONS)})(?![\w/.'\"-])(?:='([^']*)')?")
-# These are words of models and files as well: they are options where they stand for a value to give.
 # As the beginning of an error these are what was given.
 _LEADING = {
     "figure": "--only",
@@ -36,6 +35,7 @@ _LEADING = {
     "sites": "--sites",
     "stack": "--stack",
 }
+# These are words of models and files as well: they are options where they stand for a value to give.
 _GIVEN = re.compile(r"(?<=give )(?P<name>max_range|min_range|mount|section)\b|(?<![\w/.'\"-])stamps='(?P<rule>[^']*)'")
 
 

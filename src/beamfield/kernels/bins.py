@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.jit import kernel
+from beamfield.kernels.jit import kernel, shared
 
 Integers = NDArray[np.int64]
 
@@ -58,7 +58,7 @@ def number_bins(
     """
     n_bins = 0
     for i in range(len(codes)):
-        slot = _slot_of(codes[i], slots, bins)
+        slot = slot_of(codes[i], slots, bins)
         if slots[slot] < 0:
             slots[slot] = n_bins
             bins[n_bins] = codes[i]
@@ -102,7 +102,7 @@ def join_bins(slots: Integers, bins: Integers, offsets: Integers, stack: Integer
             depth -= 1
             code = bins[stack[depth]]
             for j in range(len(offsets)):
-                other = slots[_slot_of(code + offsets[j], slots, bins)]
+                other = slots[slot_of(code + offsets[j], slots, bins)]
                 if other >= 0 and labels[other] < 0:
                     labels[other] = n_labels
                     stack[depth] = other
@@ -111,12 +111,12 @@ def join_bins(slots: Integers, bins: Integers, offsets: Integers, stack: Integer
     return n_labels
 
 
-@kernel
-def _slot_of(code: int, slots: Integers, bins: Integers) -> int:
+@shared
+def slot_of(code: int, slots: NDArray[np.int32] | Integers, bins: Integers) -> int:
     """Return the slot that holds a bin, or the empty one where it would be."""
-    last = len(slots) - 1
+    mask = np.uint64(len(slots) - 1)
     # Upper bits of a product: those of neighbours' codes, which differ in a few bits, are far from one another.
-    slot = int(np.uint64(code) * _ODD >> np.uint64(40)) & last
+    slot = (np.uint64(code) * _ODD >> np.uint64(40)) & mask
     while slots[slot] >= 0 and bins[slots[slot]] != code:
-        slot = (slot + 1) & last
-    return slot
+        slot = (slot + np.uint64(1)) & mask
+    return int(slot)

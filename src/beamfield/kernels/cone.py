@@ -24,18 +24,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.elementary import split
+from beamfield.kernels.elementary import FAR, HUGE, PARALLEL, TIE, split
 from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
 Bits = NDArray[np.uint32]
 
-# The ray caster's tolerances, see kernels/exact_rays.py; a test holds the two together.
-TIE = 1e-9
-PARALLEL = 1e-12
-FAR = 1e12
-# Stands for 1 / 0; its product with the length of a cell is still farther than anything.
-HUGE = 1e300
 # Rows that are looked at together first; a power of 2.
 BAND = 8
 

@@ -37,6 +37,14 @@ TAN_PI_8 = 0.41421356237309503
 
 # Coordinates closer than this to a cell border, in cells, are on it.
 SNAP = 1e-9
+# Crossings of a column and a row edge closer than this, in cells, are one crossing of a corner.
+TIE = 1e-9
+# Direction components smaller than this are 0: cos(pi / 2) is 6e-17.
+PARALLEL = 1e-12
+# Rays that start farther away than this, in cells, see nothing.
+FAR = 1e12
+# Stands for 1 / 0: its product with 0 is 0, and with the length of a cell farther than anything.
+HUGE = 1e300
 
 
 def _exp(x: float) -> float:

@@ -13,18 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.elementary import split
+from beamfield.kernels.elementary import FAR, HUGE, PARALLEL, TIE, split
 from beamfield.kernels.jit import inlined_kernel, integer, kernel
 from beamfield.kernels.placed_poses import STRIDE, place
-
-# Crossings of a column and a row edge closer than this, in cells, are one crossing of a corner.
-TIE = 1e-9
-# Direction components smaller than this are 0: cos(pi / 2) is 6e-17.
-PARALLEL = 1e-12
-# Rays that start farther away than this, in cells, see nothing.
-FAR = 1e12
-# Stands for 1 / 0; its product with 0 is 0.
-HUGE = 1e300
 
 SINGLE = integer(1)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.elementary import split
+from beamfield.kernels.elementary import HUGE, PARALLEL, TIE, split
 from beamfield.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
@@ -20,11 +20,6 @@ Kinds = NDArray[np.uint8]
 Stamps = NDArray[np.int32]
 # Start in cells, cosine and sine of the direction, in the grid's frame.
 Ray = tuple[float, float, float, float]
-
-# The ray caster's tolerances, see kernels/exact_rays.py; a test holds the two together.
-TIE = 1e-9
-PARALLEL = 1e-12
-HUGE = 1e300
 
 # Distance of the rays that fill a cone, at its end, in cells: few cells of it are missed.
 RAY_SPACING = 0.5

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.bins import slot_of
 from beamfield.kernels.elementary import quick_sin_cos
 from beamfield.kernels.jit import kernel
 
@@ -17,7 +18,6 @@ IndexArray = NDArray[np.int64]
 GOLDEN = 0.6180339887498949
 # Numbers of bins along x and y fit into so many, so that three of them make one integer.
 MOST_BINS = 1 << 20
-_ODD = np.uint64(0x9E3779B97F4A7C15)
 # Radians within which headings are averaged as they are.
 _WRAP = 2.0 * math.pi
 
@@ -200,7 +200,7 @@ def number_bins(
             _position_bin(poses[i, 1], cell, first_row),
             int((poses[i, 2] / _WRAP - np.floor(poses[i, 2] / _WRAP)) * n_headings) % n_headings,
         )
-        slot = _slot(key, slots, keys)
+        slot = slot_of(key, slots, keys)
         if slots[slot] < 0:
             slots[slot] = count
             keys[count] = key
@@ -234,7 +234,7 @@ def join_neighbours(keys: IndexArray, n_headings: int, slots: NDArray[np.int32],
             near = _key(
                 col + step // 9 - 1, row + step // 3 % 3 - 1, (heading + step % 3 - 1 + n_headings) % n_headings
             )
-            other = slots[_slot(near, slots, keys)]
+            other = slots[slot_of(near, slots, keys)]
             if other >= 0:
                 first, second = _root(b, clusters), _root(other, clusters)
                 clusters[max(first, second)] = min(first, second)
@@ -276,16 +276,6 @@ def _position_bin(value: float, cell: float, first: float) -> int:
 @kernel
 def _key(col: int, row: int, heading: int) -> int:
     return (col << 42) | (row << 21) | heading
-
-
-@kernel
-def _slot(key: int, slots: NDArray[np.int32], keys: IndexArray) -> int:
-    """Return where a key is in the table, or the empty place where it belongs."""
-    mask = np.uint64(len(slots) - 1)
-    slot = (np.uint64(key) * _ODD >> np.uint64(40)) & mask
-    while slots[slot] >= 0 and keys[slots[slot]] != key:
-        slot = (slot + np.uint64(1)) & mask
-    return int(slot)
 
 
 @kernel

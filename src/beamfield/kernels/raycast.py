@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.elementary import split
-from beamfield.kernels.exact_rays import PARALLEL, Terrain, trace_fan
+from beamfield.kernels.elementary import PARALLEL, split
+from beamfield.kernels.exact_rays import Terrain, trace_fan
 from beamfield.kernels.jit import inlined_kernel, integer, kernel, wide_vectors
 from beamfield.kernels.placed_poses import BLOCK, STRIDE, place
 

@@ -58,7 +58,7 @@ def render_report(
     """Return the report as one HTML document.
 
     The map may be the two maps that the log drew itself. Of the provenance, these are used by name: "inputs" (role ->
-    name, or mapping with "name" and "sha256"; the roles "log", "map" and "poses" go into the head of the page), "date",
+    name, or mapping with "name" and "sha256"; the roles "log", "map" and "poses" go into the head of the page),
     "program" (name and version), "notes" (sentences on how the log was read), "options" (with "odometry", if that is
     what the poses are); the rest is listed at the end. A section with a verdict opens the page, before the beam model;
     the others follow the score, those that are folded the figures.
@@ -114,8 +114,6 @@ def _facts(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) 
     recorded = _recorded(log)
     if recorded:
         facts.append(f"recorded {recorded}")
-    if "date" in origin:
-        facts.append(f"calibrated {escaped(origin['date'])}")
     return " · ".join([*facts, escaped(_program(origin))])
 
 

@@ -40,9 +40,6 @@ class Transforms:
         """Return n motions that move nothing."""
         return cls(np.zeros((n, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)))
 
-    def __len__(self) -> int:
-        return len(self.translation)
-
     def __matmul__(self, b_from_c: Transforms) -> Transforms:
         return Transforms(
             self.translation + rotate(self.rotation, b_from_c.translation), _multiply(self.rotation, b_from_c.rotation)

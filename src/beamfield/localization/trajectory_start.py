@@ -31,7 +31,7 @@ FOLLOW_HITS = (HitNoise(0.1, 0.02, -0.2, 0.0), HitNoise(0.2, 0.02, -DEEPEST_HIT,
 TRACK_STEPS = StepNoise(0.05**2, 0.03**2, 0.03**2, 0.1**2, 0.02**2, 1e-6)
 # What is taken to be known about its systematic errors: of distances and turns, relative, radians turned per metre, and
 # radians between where the robot heads and where it drives, as with a laser whose mount is wrong.
-TRACK_SYSTEMATIC = (0.1, 0.1, 0.05, 0.05)
+TRACK_SYSTEMATIC = (0.15, 0.1, 0.05, 0.05)
 # A scan is worth so many independent readings when hypotheses are compared.
 INDEPENDENT = 6.0
 # How uncertain a pose of the search is: metres, radians.

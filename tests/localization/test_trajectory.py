@@ -10,7 +10,7 @@ import pytest
 
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 from beamfield.geometry import between, chained, compose, wrap_angle
-from beamfield.localization.course_choice import MOST_COST, without_false_jumps
+from beamfield.localization.course_choice import MOST_COST, MirroredError, without_false_jumps
 from beamfield.localization.drive import prepare
 from beamfield.localization.trajectory import TrajectoryFit, find_course, fit_course, fit_trajectory
 from beamfield.localization.trajectory_start import Followed, cheapest_course
@@ -346,3 +346,15 @@ def test_odometry_that_stands_still_while_the_scans_turn_is_named(drive: SensorL
     monkeypatch.setattr("beamfield.localization.trajectory.choose_course", none)
     with pytest.raises(TrajectoryNotFoundError, match=r"none fits\. Where the scans turn .* the odometry hardly turns"):
         fit_trajectory(log, office)
+
+
+def test_of_mirrored_scans_the_odometry_is_not_blamed(drive: SensorLog, office: OccupancyGrid, monkeypatch):
+    log = drive.select(np.arange(120))
+    steps = between(log.odometry[:-1], log.odometry[1:])
+
+    def refuse(*_: object) -> None:
+        raise MirroredError("only if its scans are mirrored")
+
+    monkeypatch.setattr("beamfield.localization.trajectory.choose_course", refuse)
+    with pytest.raises(TrajectoryNotFoundError, match=r"mirrored$"):
+        fit_trajectory(replace(log, odometry=chained(np.zeros(3), steps * [1.0, 1.0, -1.0])), office)

@@ -13,7 +13,7 @@ from beamfield.arguments import checked, require
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray, as_pose, chained
-from beamfield.localization.course_choice import FoundCourse, StartHypothesis, choose_course
+from beamfield.localization.course_choice import FoundCourse, MirroredError, StartHypothesis, choose_course
 from beamfield.localization.drive import Drive, prepare, with_points
 from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
 from beamfield.localization.mapped_area import MappedArea
@@ -213,6 +213,8 @@ def find_course(
     _check_moves(drive, log)
     try:
         found = choose_course(log, grid, drive, walls_of(grid), initial, report)
+    except MirroredError:
+        raise
     except TrajectoryNotFoundError as error:
         wrong = (mount_of_scans(log) or scan_delay(log) or turns_of_scans(log)) if log.has_odometry else None
         if wrong is None or wrong.severity == "info":

@@ -40,7 +40,7 @@ class OppositeBeams:
     n_pairs
         Pairs of opposite beams that both see a mapped wall.
     median_difference
-        Median of measured minus mapped width, metres.
+        Median of measured minus mapped width, metres, of the pairs that the line holds for.
     scale, scale_se
         Slope and its standard error (from blocks of time).
     widening, widening_se
@@ -72,17 +72,16 @@ def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) 
         first, second = first[chosen], second[chosen]
     measured = table.ranges[first] + table.ranges[second]
     mapped = table.expected_ranges[first] + table.expected_ranges[second]
-    scale, widening = _robust_line(mapped, measured)
+    scale, widening, of_walls = _robust_line(mapped, measured)
     # Jackknife over blocks of time: pairs of neighbouring scans see the same walls.
     replicates = []
     for block in np.unique(blocks[first]):
         rest = blocks[first] != block
         if rest.sum() >= FEWEST_PAIRS // 2:
-            replicates.append(_robust_line(mapped[rest], measured[rest]))
+            replicates.append(_robust_line(mapped[rest], measured[rest])[:2])
     scale_se, widening_se = jackknife_error(np.array(replicates)) if len(replicates) > 1 else (np.nan, np.nan)
-    return OppositeBeams(
-        n_pairs, float(np.median(measured - mapped)), scale, float(scale_se), widening, float(widening_se)
-    )
+    difference = float(np.median((measured - mapped)[of_walls]))
+    return OppositeBeams(n_pairs, difference, scale, float(scale_se), widening, float(widening_se))
 
 
 def opposite_pairs(log: SensorLog, table: BeamTable) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -109,13 +108,16 @@ def _opposite(mounts: FloatArray) -> NDArray[np.int64]:
     return np.where(good, best, -1)
 
 
-def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Slope and intercept by iteratively reweighted least squares with Tukey's weights."""
+def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float, NDArray[np.bool_]]:
+    """Slope, intercept and which points (n,) count, by iteratively reweighted least squares with Tukey's weights."""
     difference = y - x
-    spread = max(1.4826 * float(np.median(np.abs(difference - np.median(difference)))), 1e-3)
+    widest = 1.4826 * float(np.median(np.abs(difference - np.median(difference))))
     slope, intercept = 1.0, float(np.median(difference))
     for _ in range(20):
         residual = y - slope * x - intercept
+        # People shorten readings, those of near walls most: how far noise reaches shows beyond the line alone.
+        beyond = float(np.median(residual[residual > 0.0])) if (residual > 0.0).any() else 0.0
+        spread = max(min(widest, 1.4826 * beyond), 1e-3)
         weight = np.clip(1.0 - (residual / (4.685 * spread)) ** 2, 0.0, None) ** 2
         total = weight.sum()
         if total <= 0:
@@ -126,7 +128,7 @@ def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
             break
         slope = float((weight * (x - mx) * (y - my)).sum() / sxx)
         intercept = float(my - slope * mx)
-    return slope, intercept
+    return slope, intercept, weight > 0.0
 
 
 def map_findings(pairs: OppositeBeams | None, resolution: float, *, drawn: bool = False) -> Iterator[Finding]:

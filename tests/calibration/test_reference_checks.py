@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -64,6 +65,7 @@ def test_a_map_at_the_wrong_scale_is_found_and_not_taken_for_thick_walls(rng):
     assert finding.name == "map-scale"
     assert finding.values["scale"] == pytest.approx(1.03, abs=0.004)
     assert "0.051" in finding.do
+    assert re.search(r"the ranges are [23]\.\d% too long", finding.do)
     # Cells of a map that was drawn from the log are as large as they are said to be.
     (finding,) = map_findings(pairs, 0.05, drawn=True)
     assert "0.051" not in finding.do

@@ -158,7 +158,8 @@ def map_findings(pairs: OppositeBeams | None, resolution: float, *, drawn: bool 
             do="The map is drawn from this log, so the poses drift: give better ones, or a map."
             if drawn
             else f"Check the map's resolution: {resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would "
-            "fit.",
+            f"fit. If the distances of the odometry fit the map, the ranges are {abs(pairs.scale - 1.0):.1%} too "
+            f"{'long' if pairs.scale > 1.0 else 'short'} instead.",
         )
     elif abs(pairs.median_difference) > max(1.5 * resolution, 0.06):
         narrow = pairs.median_difference > 0

@@ -106,7 +106,7 @@ def test_people_beside_the_robot_do_not_move_the_estimate(rng):
 def test_a_crowd_near_the_robot_is_neither_a_scale_nor_thin_walls(rng):
     log, table, blocks = corridor_table(rng, n_scans=6000)
     before = -np.log(1.0 - rng.random(len(table)) * (1.0 - np.exp(-0.6 * table.ranges))) / 0.6
-    ranges = np.where(rng.random(len(table)) < 0.65, before, table.ranges)
+    ranges = np.where(rng.random(len(table)) < 0.7, before, table.ranges)
     crowded = BeamTable(ranges, table.expected_ranges, table.scan, table.beam, table.stamps, table.max_range)
     pairs = opposite_beams(log, crowded, blocks)
     assert pairs.scale == pytest.approx(1.0, abs=0.003)

@@ -61,6 +61,7 @@ def test_beams_that_never_return_are_named_with_the_mask_that_leaves_them_out(rn
     (finding,) = blind_findings(table, log)
     assert finding.name == "blind-beams"
     assert "at bearings -160.1 to -139.9, 170 degrees" in finding.text
+    assert "parts of the robot, or dirt" in finding.text
     assert "(--mask=-160.1:-139.9 --mask=169.9:170.1)" in finding.do
     assert finding.values == {"n_beams": 4.0, "share": pytest.approx(4 / 36)}
 

@@ -132,6 +132,16 @@ def test_what_a_drive_does_not_show_is_left_out():
     assert [(level.value, level.high) for level in result.candidates[3].levels] == [(0.0, np.inf)] * 4
 
 
+def test_noise_of_the_heading_on_a_straight_drive_is_no_scale_of_turns():
+    rng = np.random.default_rng(6)
+    straight = chained(np.tile([0.3, 0.0, 0.0], (160, 1)))
+    odometry = noisy_odometry(straight, rng, OdometryNoise(distance_scale=0.0, turn_scale=0.0))
+    result = calibrate_odometry(log_of(straight, odometry), EVERY_SCAN)
+    assert "turn_scale" not in result.systematic
+    assert "odometry-turn-scale" not in {finding.name for finding in result.findings}
+    assert {"distance_scale", "drift"} <= set(result.systematic)
+
+
 def test_a_missed_turn_is_a_fault_and_not_noise(common):
     log = amcl_log((0.03,) * 4, 1)
     steps = between(log.poses[:-1], log.poses[1:])

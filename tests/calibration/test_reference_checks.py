@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,23 +17,24 @@ from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, SensorLog
 
 FINDER = RangeFinder.from_bearings(np.deg2rad(np.arange(-90.0, 91.0, 30.0)), 20.0)
-N_SCANS = 400
 
 
-def corridor_table(rng: np.random.Generator, *, scale: float = 1.0, thick: float = 0.0, pose_error: float = 0.0):
+def corridor_table(
+    rng: np.random.Generator, *, scale: float = 1.0, thick: float = 0.0, pose_error: float = 0.0, n_scans: int = 400
+):
     """Widths between 2 and 10 m seen by the beams to the left and right; the mapped ones differ as asked."""
-    width = rng.uniform(2.0, 10.0, N_SCANS)
-    left = width * rng.uniform(0.2, 0.8, N_SCANS)
-    measured = np.column_stack([width - left, left]) + rng.normal(0, 0.02, (N_SCANS, 2))
-    off = rng.normal(0, pose_error, N_SCANS)
+    width = rng.uniform(2.0, 10.0, n_scans)
+    left = width * rng.uniform(0.2, 0.8, n_scans)
+    measured = np.column_stack([width - left, left]) + rng.normal(0, 0.02, (n_scans, 2))
+    off = rng.normal(0, pose_error, n_scans)
     mapped = np.column_stack([width - left + off, left - off]) / scale - thick
-    scan = np.repeat(np.arange(N_SCANS), 2)
-    beam = np.tile([0, 6], N_SCANS)
+    scan = np.repeat(np.arange(n_scans), 2)
+    beam = np.tile([0, 6], n_scans)
     table = BeamTable(
         measured.ravel(), mapped.ravel(), scan.astype(np.int32), beam.astype(np.int32), scan * 0.1, FINDER.max_range
     )
     log = SensorLog(
-        FINDER, 0.1 * np.arange(N_SCANS), np.ones((N_SCANS, 7)), np.zeros((N_SCANS, 3)), np.zeros((N_SCANS, 3))
+        FINDER, 0.1 * np.arange(n_scans), np.ones((n_scans, 7)), np.zeros((n_scans, 3)), np.zeros((n_scans, 3))
     )
     return log, table, scan // 40
 
@@ -63,6 +65,7 @@ def test_a_map_at_the_wrong_scale_is_found_and_not_taken_for_thick_walls(rng):
     assert finding.name == "map-scale"
     assert finding.values["scale"] == pytest.approx(1.03, abs=0.004)
     assert "0.051" in finding.do
+    assert re.search(r"the ranges are [23]\.\d% too long", finding.do)
     # Cells of a map that was drawn from the log are as large as they are said to be.
     (finding,) = map_findings(pairs, 0.05, drawn=True)
     assert "0.051" not in finding.do
@@ -97,6 +100,17 @@ def test_people_beside_the_robot_do_not_move_the_estimate(rng):
     crowded = BeamTable(ranges, table.expected_ranges, table.scan, table.beam, table.stamps, table.max_range)
     pairs = opposite_beams(log, crowded, blocks)
     assert pairs.scale == pytest.approx(1.0, abs=0.01)
+    assert not list(map_findings(pairs, 0.05))
+
+
+def test_a_crowd_near_the_robot_is_neither_a_scale_nor_thin_walls(rng):
+    log, table, blocks = corridor_table(rng, n_scans=6000)
+    before = -np.log(1.0 - rng.random(len(table)) * (1.0 - np.exp(-0.6 * table.ranges))) / 0.6
+    ranges = np.where(rng.random(len(table)) < 0.7, before, table.ranges)
+    crowded = BeamTable(ranges, table.expected_ranges, table.scan, table.beam, table.stamps, table.max_range)
+    pairs = opposite_beams(log, crowded, blocks)
+    assert pairs.scale == pytest.approx(1.0, abs=0.003)
+    assert pairs.median_difference == pytest.approx(0.0, abs=0.01)
     assert not list(map_findings(pairs, 0.05))
 
 

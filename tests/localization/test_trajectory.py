@@ -10,7 +10,7 @@ import pytest
 
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 from beamfield.geometry import between, chained, compose, wrap_angle
-from beamfield.localization.course_choice import MOST_COST, without_false_jumps
+from beamfield.localization.course_choice import MOST_COST, MirroredError, without_false_jumps
 from beamfield.localization.drive import prepare
 from beamfield.localization.trajectory import TrajectoryFit, find_course, fit_course, fit_trajectory
 from beamfield.localization.trajectory_start import Followed, cheapest_course
@@ -57,10 +57,17 @@ def test_a_drive_with_drifting_odometry_is_found_without_a_start(fit: Trajectory
     assert np.isfinite(fit.covariances).all()
 
 
-@pytest.mark.parametrize(("share", "said"), [(1.0, "turns by "), (0.0, "the robot hardly turned")])
-def test_errors_of_turns_are_told_only_of_a_robot_that_turned(fit: TrajectoryFit, share, said):
-    fit = replace(fit, poses=fit.poses * [1.0, 1.0, share])
-    assert said in fit.summary().splitlines()[-1]
+@pytest.mark.parametrize(
+    ("shares", "said"),
+    [
+        ([1.0, 1.0, 1.0], r"distances off by \S+, turns by "),
+        ([1.0, 1.0, 0.0], r"distances off by \S+; the robot hardly turned"),
+        ([0.0, 0.0, 1.0], r"the robot hardly drove; turns off by "),
+    ],
+)
+def test_errors_are_told_only_of_what_the_robot_did(fit: TrajectoryFit, shares, said):
+    fit = replace(fit, poses=fit.poses * shares)
+    assert re.search(said, fit.summary().splitlines()[-1])
 
 
 def test_a_robot_is_found_where_all_that_is_not_free_is_painted_black(drive: SensorLog, black_office: OccupancyGrid):
@@ -358,3 +365,15 @@ def test_odometry_that_stands_still_while_the_scans_turn_is_named(drive: SensorL
     monkeypatch.setattr("beamfield.localization.trajectory.choose_course", none)
     with pytest.raises(TrajectoryNotFoundError, match=r"none fits\. Where the scans turn .* the odometry hardly turns"):
         fit_trajectory(log, office)
+
+
+def test_of_mirrored_scans_the_odometry_is_not_blamed(drive: SensorLog, office: OccupancyGrid, monkeypatch):
+    log = drive.select(np.arange(120))
+    steps = between(log.odometry[:-1], log.odometry[1:])
+
+    def refuse(*_: object) -> None:
+        raise MirroredError("only if its scans are mirrored")
+
+    monkeypatch.setattr("beamfield.localization.trajectory.choose_course", refuse)
+    with pytest.raises(TrajectoryNotFoundError, match=r"mirrored$"):
+        fit_trajectory(replace(log, odometry=chained(np.zeros(3), steps * [1.0, 1.0, -1.0])), office)

@@ -129,6 +129,14 @@ class TestPValue:
             assert one.misfit == pytest.approx(fits.statistics.misfit[i], rel=1e-12)
             assert one.problem == ""
 
+    def test_the_worst_scans_fit_worst_though_others_are_compared_with_more_good_ones(self, model, reference, fresh):
+        poses = fresh.poses + np.array([0.3, 0.3, 0.0])
+        middle = slice(len(fresh) // 2, len(fresh) // 2 + 5)
+        poses[middle] += [1.0, 1.0, 0.5]
+        fits = judge_log(model, replace(fresh, poses=poses), reference, is_own=True)
+        assert fits.p_value[0] < fits.p_value[middle].min()
+        assert fits.worst(3).tolist() == np.argsort(-fits.statistics.misfit)[:3].tolist()
+
     def test_a_missing_wall_goes_through_and_a_crowd_does_not(self, model, fresh):
         i = 40
         scan, pose = fresh.scan(i), fresh.poses[i]

@@ -122,7 +122,7 @@ def left_out_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
 
 
 def blind_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
-    """Name the beams that never return although the map has something there: parts of the robot."""
+    """Name the beams that never return although the map has something there: parts of the robot, or dirt."""
     k = log.finder.n_beams
     hits = ~table.hits_nothing
     expected = np.bincount(table.beam[hits], minlength=k)
@@ -136,10 +136,11 @@ def blind_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
     yield Finding(
         "blind-beams",
         "warning",
-        f"Nothing returns at {shown} although the map has something there: parts of the robot, most likely.",
+        f"Nothing returns at {shown} although the map has something there: parts of the robot, or dirt on the "
+        "sensor's window, most likely.",
         {"n_beams": float(blind.sum()), "share": share},
         why=f"They are {share:.1%} of the readings and count in z_max.",
-        do=f"Mask them ({options}).",
+        do=f"Clean the window; if that changes nothing, mask them ({options}).",
     )
 
 

@@ -22,6 +22,8 @@ SAME_ORIGIN = 0.05
 # enough for walls drawn several cells thick and for a map at a scale a few percent wrong.
 NEAR_WALL = 0.6
 NEAR_WALL_SHARE = 0.08
+# Tukey's constant. With the usual 4.685 readings that a crowd cuts short, more at near walls, tilt the line.
+TUKEY = 2.5
 FEWEST_PAIRS = 200
 # A scale wrong by less moves a wall 5 m away by less than a cell.
 MOST_SCALE_ERROR = 0.01
@@ -40,7 +42,7 @@ class OppositeBeams:
     n_pairs
         Pairs of opposite beams that both see a mapped wall.
     median_difference
-        Median of measured minus mapped width, metres.
+        Median of measured minus mapped width, metres, of the pairs that the line holds for.
     scale, scale_se
         Slope and its standard error (from blocks of time).
     widening, widening_se
@@ -72,17 +74,16 @@ def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) 
         first, second = first[chosen], second[chosen]
     measured = table.ranges[first] + table.ranges[second]
     mapped = table.expected_ranges[first] + table.expected_ranges[second]
-    scale, widening = _robust_line(mapped, measured)
+    scale, widening, of_walls = _robust_line(mapped, measured)
     # Jackknife over blocks of time: pairs of neighbouring scans see the same walls.
     replicates = []
     for block in np.unique(blocks[first]):
         rest = blocks[first] != block
         if rest.sum() >= FEWEST_PAIRS // 2:
-            replicates.append(_robust_line(mapped[rest], measured[rest]))
+            replicates.append(_robust_line(mapped[rest], measured[rest])[:2])
     scale_se, widening_se = jackknife_error(np.array(replicates)) if len(replicates) > 1 else (np.nan, np.nan)
-    return OppositeBeams(
-        n_pairs, float(np.median(measured - mapped)), scale, float(scale_se), widening, float(widening_se)
-    )
+    difference = float(np.median((measured - mapped)[of_walls]))
+    return OppositeBeams(n_pairs, difference, scale, float(scale_se), widening, float(widening_se))
 
 
 def opposite_pairs(log: SensorLog, table: BeamTable) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -109,14 +110,17 @@ def _opposite(mounts: FloatArray) -> NDArray[np.int64]:
     return np.where(good, best, -1)
 
 
-def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Slope and intercept by iteratively reweighted least squares with Tukey's weights."""
+def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float, NDArray[np.bool_]]:
+    """Slope, intercept and which points (n,) count, by iteratively reweighted least squares with Tukey's weights."""
     difference = y - x
-    spread = max(1.4826 * float(np.median(np.abs(difference - np.median(difference)))), 1e-3)
+    widest = 1.4826 * float(np.median(np.abs(difference - np.median(difference))))
     slope, intercept = 1.0, float(np.median(difference))
     for _ in range(20):
         residual = y - slope * x - intercept
-        weight = np.clip(1.0 - (residual / (4.685 * spread)) ** 2, 0.0, None) ** 2
+        # People shorten readings, those of near walls most: how far noise reaches shows beyond the line alone.
+        beyond = float(np.median(residual[residual > 0.0])) if (residual > 0.0).any() else 0.0
+        spread = max(min(widest, 1.4826 * beyond), 1e-3)
+        weight = np.clip(1.0 - (residual / (TUKEY * spread)) ** 2, 0.0, None) ** 2
         total = weight.sum()
         if total <= 0:
             break
@@ -126,7 +130,7 @@ def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
             break
         slope = float((weight * (x - mx) * (y - my)).sum() / sxx)
         intercept = float(my - slope * mx)
-    return slope, intercept
+    return slope, intercept, weight > 0.0
 
 
 def map_findings(pairs: OppositeBeams | None, resolution: float, *, drawn: bool = False) -> Iterator[Finding]:
@@ -156,7 +160,8 @@ def map_findings(pairs: OppositeBeams | None, resolution: float, *, drawn: bool 
             do="The map is drawn from this log, so the poses drift: give better ones, or a map."
             if drawn
             else f"Check the map's resolution: {resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would "
-            "fit.",
+            f"fit. If the distances of the odometry fit the map, the ranges are {abs(pairs.scale - 1.0):.1%} too "
+            f"{'long' if pairs.scale > 1.0 else 'short'} instead.",
         )
     elif abs(pairs.median_difference) > max(1.5 * resolution, 0.06):
         narrow = pairs.median_difference > 0

@@ -171,7 +171,8 @@ def refinement_findings(refinement: PoseRefinement | None, *, drawn: bool = Fals
         do="Compare these two with each other, not with the fit, which leaves out what is not drawn exactly; give "
         "better poses and calibrate again."
         if drawn
-        else "Use the smaller sigma_hit for a sensor with exact poses; else localize better and calibrate again.",
+        else "Use the smaller sigma_hit for a sensor with exact poses; else calibrate again with better poses, such as "
+        "those that beamfield trajectory writes: --poses takes them.",
     )
     if abs(refinement.delay) > LEAST_DELAY and refinement.delay_share > 0.5:
         late = "older" if refinement.delay > 0 else "newer"

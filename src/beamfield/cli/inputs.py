@@ -54,7 +54,7 @@ def read_walls(arguments: argparse.Namespace) -> OccupancyGrid:
     """Read --map, which must have something for rays to meet."""
     grid = read_grid(arguments)
     if not grid.occupied.any():
-        raise FormatError(arguments.map, "the map has no occupied cell: no ray has an expected range")
+        raise FormatError(arguments.map, "the map has no occupied cell: check occupied_thresh, negate and the picture")
     return grid
 
 

@@ -86,7 +86,7 @@ def map_notes(grid: OccupancyGrid) -> list[str]:
     """Return what makes a map look wrong, one sentence each."""
     notes = []
     if not grid.occupied.any():
-        notes.append("no cell is occupied: no beam has an expected range in this map")
+        notes.append("no cell is occupied: occupied_thresh, negate or the picture is wrong")
     if not grid.free.any():
         notes.append("no cell is free: no pose is plausible in this map")
     elif (times := grid.occupied.sum() / grid.free.sum()) > INVERTED:

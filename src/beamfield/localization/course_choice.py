@@ -63,6 +63,10 @@ MIRRORED_MAP = (
 SURELY_BETTER = 30.0
 
 
+class MirroredError(TrajectoryNotFoundError):
+    """A log fits a map only if its scans, or the map, are mirrored: that is what is wrong, and all."""
+
+
 class StartHypothesis(NamedTuple):
     """Where the log may have begun.
 
@@ -162,8 +166,8 @@ def choose_course(
     _refuse_mirrored(log, turned[1], search, MOST_COST, MIRRORED_MAP)
     may_be_right = start is None and first[0].agrees >= LEAST_AGREEMENT
     raise TrajectoryNotFoundError(
-        "no trajectory through this map fits the log (another building, a map out of date or of wrong resolution, "
-        "places that look alike, people all around, a drive beyond it, or wrong odometry?); "
+        "no trajectory through this map fits the log (another building, a map out of date, inverted (negate) or of "
+        "wrong resolution, places that look alike, people all around, a drive beyond it, or wrong odometry?); "
         f"{_named(starts_apart(first))}"
         f"{'; if it began at one of these, give that start' if may_be_right else ''}"
     )
@@ -234,7 +238,7 @@ def _refuse_mirrored(log: SensorLog, drive: Drive, search: Callable[..., list[Ju
     judged = search(image, with_points(drive, image), "with its scans mirrored")
     if judged[0][0].misfit <= limit:
         starts = _named([one for one, _ in judged[:1]])
-        raise TrajectoryNotFoundError(f"the log fits the map only if {wrong}; {starts}")
+        raise MirroredError(f"the log fits the map only if {wrong}; {starts}")
 
 
 def _hypotheses(

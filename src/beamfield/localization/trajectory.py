@@ -14,7 +14,7 @@ from beamfield.arguments import checked, require
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray, as_pose, chained
-from beamfield.localization.course_choice import FoundCourse, StartHypothesis, choose_course
+from beamfield.localization.course_choice import FoundCourse, MirroredError, StartHypothesis, choose_course
 from beamfield.localization.drive import Drive, prepare, with_points, without_points
 from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
 from beamfield.localization.mapped_area import MappedArea
@@ -39,8 +39,8 @@ Progress = Callable[[str, int, int], None]
 FEWEST_SCANS, FEWEST_POINTS = 3, 100
 # Metres, a radian of turning counting as a tenth of one: a robot that stands sees one place, of which maps have many.
 LEAST_WAY = 0.3
-# A robot that turns less, radians, does not tell how far its odometry turns.
-LEAST_TURN = 0.5
+# A robot that drives or turns less, metres along an axis and radians, does not tell how wrong its odometry is in that.
+LEAST_DRIVE, LEAST_TURN = 0.5, 0.5
 # Without odometry it is an alignment that slipped, not a wheel.
 OF_WHEELS = ("wheel-slip", "odometry-turn-scale", "odometry-drift", "odometry-drift-at-rest")
 NO_ODOMETRY = "no-odometry"
@@ -109,7 +109,9 @@ class TrajectoryFit:
         carried = [one.values["time_s"] for one in self.findings if one.name == "kidnapped"]
         steps[np.searchsorted(self.stamps - self.stamps[0], carried) - 1] = 0.0  # not driven
         x, y, theta = self.poses[0]
+        drove = np.ptp(self.poses[:, :2], axis=0).max() >= LEAST_DRIVE
         turned = np.ptp(np.unwrap(self.poses[:, 2])) >= LEAST_TURN
+        turns = ", turns" if drove else "; turns off"
         aligned = "none; those of aligned scans: " if any(one.name == NO_ODOMETRY for one in self.findings) else ""
         return (
             f"start      {x:.3f} m, {y:.3f} m, {np.degrees(theta):.1f} deg; "
@@ -117,8 +119,9 @@ class TrajectoryFit:
             f"path       {len(self)} scans, {steps.sum():.1f} m, {self.stamps[-1] - self.stamps[0]:.1f} s\n"
             f"trusted    {self.trusted.mean():.1%} of the scans\n"
             f"position   {np.median(deviation):.3f} m standard deviation (median), {deviation.max():.3f} m at worst\n"
-            f"odometry   {aligned}distances off by {-self.distance_scale:+.2%}"
-            + (f", turns by {-self.turn_scale:+.2%}" if turned else "; the robot hardly turned")
+            f"odometry   {aligned}"
+            + (f"distances off by {-self.distance_scale:+.2%}" if drove else "the robot hardly drove")
+            + (f"{turns} by {-self.turn_scale:+.2%}" if turned else "; the robot hardly turned")
         )
 
 
@@ -214,6 +217,8 @@ def find_course(
     _check_moves(drive, log)
     try:
         found = choose_course(log, grid, drive, walls_of(grid), initial, report)
+    except MirroredError:
+        raise
     except TrajectoryNotFoundError as error:
         wrong = (mount_of_scans(log) or scan_delay(log) or turns_of_scans(log)) if log.has_odometry else None
         if wrong is None or wrong.severity == "info":

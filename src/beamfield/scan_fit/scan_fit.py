@@ -138,7 +138,10 @@ class ScanFits:
         return max(spans, key=lambda span: span[1] - span[0], default=None)
 
     def worst(self, n: int = 5, *, apart_s: float = 0.0) -> NDArray[np.int64]:
-        """Return the worst scans: those with the lowest p-value and, among equal ones, the largest misfit.
+        """Return the worst scans: those with the largest misfit.
+
+        Not the lowest p-values: of a log that is judged by itself, scans near its ends have more good scans to be
+        compared with, and so lower ones.
 
         Parameters
         ----------
@@ -152,8 +155,7 @@ class ScanFits:
         Indices, worst first; scans that could not be judged are not among them.
         """
         chosen: list[int] = []
-        misfit = self.statistics.misfit
-        order = np.lexsort((-np.nan_to_num(misfit, nan=-np.inf), self.p_value))
+        order = np.argsort(-np.nan_to_num(self.statistics.misfit, nan=-np.inf), kind="stable")
         for i in order[~np.isnan(self.p_value[order])]:
             if len(chosen) == n:
                 break

@@ -182,6 +182,15 @@ def drive_in_a_circle():
     return replace(log[:200], poses=poses, odometry=poses)
 
 
+@cache
+def turn_on_the_spot():
+    """Return turns on the spot, the odometry moving by a millimetre a scan to and fro."""
+    log, turn = noisy_drive()[:200], 0.1 * np.arange(200.0)
+    jitter = np.random.default_rng(0).normal(0.0, 0.001, (2, 200))
+    poses = np.column_stack([*jitter, wrap_angle(turn)])
+    return replace(log, poses=poses, odometry=poses)
+
+
 def made(others):
     """Return map and log, made now: at import, each worker would compile what makes them before its first test."""
     return {name: make() if callable(make) else make for name, make in others.items()}
@@ -207,6 +216,7 @@ FINDINGS = {
     "no-motion-noise": (alphas(0.0), {}, alphas(0.001), {}),
     "moves-sideways": (alphas(0.03), {"log": sideways_drive}, alphas(0.03), {"log": noisy_drive}),
     "moves-sideways along an arc": (alphas(0.03), {"log": sideways_drive}, alphas(0.03), {"log": drive_in_a_circle}),
+    "moves-sideways on the spot": (alphas(0.03), {"log": sideways_drive}, alphas(0.03), {"log": turn_on_the_spot}),
     "moves-sideways with the right model": (
         alphas(0.03), {"log": sideways_drive},
         {**alphas(0.03), "robot_model_type": '"nav2_amcl::OmniMotionModel"'}, {"log": sideways_drive},

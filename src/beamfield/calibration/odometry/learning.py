@@ -49,6 +49,9 @@ WINDOW = 8
 LENGTHS = (1, 2, 4, 8, 16)
 # A systematic error of which the drive leaves more than this share of the prior spread is not identifiable.
 LEAST_KNOWN = 0.5
+# Where odometry and reference share less than this of the variance of their turns, the robot drove straight: noise is
+# most of what the odometry turned, which looks like a scale of -1.
+LEAST_SHARED = 0.9
 # How often systematic errors and noise are fitted in turn.
 ROUNDS = 3
 # Levels below this are 0: the reference's error hides them.
@@ -215,6 +218,7 @@ class _WindowFit:
     def systematic_errors(self) -> tuple[SystematicErrors, float]:
         """Return the systematic errors that the drive shows, and the common alpha without them."""
         design, unit = self.windows.design()[self.kept], self.units(ONE_ALPHA)
+        design[:, :, SYSTEMATIC.index("turn_scale")] *= self._turns_are_shared()
         short = self.windows.shortening(ONE_ALPHA.units[0])[self.kept]
         everything = np.ones(len(self.residuals), dtype=np.bool_)
         errors, left, alpha = self._in_turn(design, unit, short, everything, None)
@@ -226,6 +230,11 @@ class _WindowFit:
         found = {SYSTEMATIC[i]: Estimate(float(errors[i]), *map(float, intervals[i])) for i in shown}
         covariance = jackknife_covariance(without, len(errors))[np.ix_(shown, shown)]
         return SystematicErrors(found, covariance), alpha
+
+    def _turns_are_shared(self) -> bool:
+        said = self.windows.motion[self.kept, 2]
+        shown = said + self.residuals[:, 2]
+        return bool((said @ shown) ** 2 > LEAST_SHARED * (said @ said) * (shown @ shown))
 
     def _in_turn(
         self, design: FloatArray, unit: FloatArray, short: FloatArray, used: NDArray[np.bool_],

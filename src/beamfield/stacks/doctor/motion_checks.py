@@ -27,6 +27,8 @@ MOST_TIMES = 20.0
 # Of the way of differential drives on record at most 6% is sideways, in steps of so many metres or radians; shorter
 # ones show the odometry's noise while the robot stands.
 SIDEWAYS, STEP = 0.2, (0.2, 0.2)
+# A robot that turns on the spot goes nowhere: less way than this, metres, is noise.
+LEAST_WAY = 1.0
 # A robot drives and turns so far between updates at most, metres and radians, with the programs' usual values.
 FAR, FAR_TURN = 1.0, math.radians(60.0)
 # With 100 particles nav2's default model errs 1.2 to 3.8 times as much as with 500 (benchmarks/particle_counts.py).
@@ -110,7 +112,7 @@ def sideways_motion(subject: Subject) -> Iterator[Finding]:
     way = float(np.hypot(step[:, 0], step[:, 1]).sum())
     # Beside the heading halfway: along an arc a robot goes straight ahead.
     beside = np.cos(0.5 * step[:, 2]) * step[:, 1] - np.sin(0.5 * step[:, 2]) * step[:, 0]
-    share = float(np.abs(beside).sum()) / way if way > 0.0 else 0.0
+    share = float(np.abs(beside).sum()) / way if way >= LEAST_WAY else 0.0
     if share > SIDEWAYS:
         own = subject.file.name_in_file(subject.stack.motion_key)
         other = next(name for name in subject.stack.motions if "omni" in name.lower())

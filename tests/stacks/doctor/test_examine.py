@@ -184,7 +184,7 @@ def drive_in_a_circle():
 
 @cache
 def turn_on_the_spot():
-    """Return turns on the spot, the odometry moving by a millimetre a scan to and fro."""
+    """Return turns on the spot, the odometry moving by a millimetre a scan back and forth."""
     log, turn = noisy_drive()[:200], 0.1 * np.arange(200.0)
     jitter = np.random.default_rng(0).normal(0.0, 0.001, (2, 200))
     poses = np.column_stack([*jitter, wrap_angle(turn)])

@@ -330,6 +330,9 @@ def _learn_systematic(difference: Floats, prior: Floats, corrected: Floats, cova
             for m in range(3):
                 gain[j, k] += covariance[3 + j, m] * prior[m, k]
             systematic[j] += gain[j, k] * difference[k]
+    # Odometry of the other sign is another matter.
+    for j in range(2):
+        systematic[j] = min(max(systematic[j], -0.5), 1.0)
     for j in range(3):
         for k in range(3):
             change = corrected[j, k] - covariance[j, k]

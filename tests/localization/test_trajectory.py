@@ -294,7 +294,8 @@ def test_a_gap_in_time_is_longer_than_five_seconds_and_twenty_steps(step, gap, i
 def test_without_odometry_scans_are_aligned_in_its_place(drive: SensorLog, office: OccupancyGrid):
     log = drive.select(np.arange(30))
     fit = fit_trajectory(replace(log, odometry=np.full((30, 3), np.nan)), office, start=log.poses[0])
-    assert "no-odometry" in names(fit)
+    (finding,) = [one for one in fit.findings if one.name == "no-odometry"]
+    assert finding.do.endswith("read them as such (--lone-poses odometry).")
     assert "odometry   none; those of aligned scans: distances off by " in fit.summary()
     assert np.median(distances(fit, log)) < 0.1
 

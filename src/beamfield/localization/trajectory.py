@@ -224,7 +224,7 @@ def find_course(
         if wrong is None or wrong.severity == "info":
             raise
         raise TrajectoryNotFoundError(f"{error}. {wrong.text} {wrong.do}") from error
-    return found if log.has_odometry else found._replace(findings=(_no_odometry(), *found.findings))
+    return found if log.has_odometry else found._replace(findings=(_no_odometry(log), *found.findings))
 
 
 def fit_course(
@@ -360,10 +360,12 @@ def _result(log: SensorLog, fitted: Smoothed, distance: float, turns: TurnErrors
     )  # fmt: skip
 
 
-def _no_odometry() -> Finding:
+def _no_odometry(log: SensorLog) -> Finding:
+    own = " If its own poses are the odometry, read them as such (--lone-poses odometry)." if log.has_poses else ""
     return Finding(
         NO_ODOMETRY, "warning",
         "The log has no odometry at the times of its scans: each was aligned with the one before in its place.",
         why="Along corridors, scans alone slide.",
-        do="Record the odometry (docs/recording.md); if you did, beamfield inspect says whether two clocks differ.",
+        do="Record the odometry (docs/recording.md); if you did, beamfield inspect says whether two clocks differ."
+        + own,
     )  # fmt: skip

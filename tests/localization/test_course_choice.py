@@ -13,7 +13,7 @@ LONG, SHORT = 560, 140
 
 
 def judged(cost: float, agrees: float, n_jumps: int = 0) -> Judged:
-    course = Course(np.zeros((2, 3)), cost, np.arange(n_jumps, dtype=np.int64), np.zeros(2, np.int64))
+    course = Course(np.zeros((2, 3)), cost, np.zeros(2), np.arange(n_jumps, dtype=np.int64), np.zeros(2, np.int64))
     return StartHypothesis(np.zeros(3), cost, agrees, 0.3), course
 
 

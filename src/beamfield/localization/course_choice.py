@@ -61,6 +61,9 @@ MIRRORED_MAP = (
 )
 # Two courses whose costs and misfits differ by less, in nats, are equally likely.
 SURELY_BETTER = 30.0
+# So are two whose misfits differ by less than this, in nats per scan, if the costs of so many metres of way, which err
+# alike, differ less than by chance (one standard error).
+ALIKE, ALIKE_WAY = 0.7, 2.0
 
 
 class MirroredError(TrajectoryNotFoundError):
@@ -149,15 +152,16 @@ def choose_course(
             continue
         hypotheses = tuple(one for one, _ in judged[:2])
         equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
+        alike = [one[0] for one in judged[1:] if is_at(one[0].pose, start) and _are_alike(drive, judged[0], one)]
         if unturned is not None:
             _refuse_mirrored(log, unturned[1], search, hypotheses[0].misfit + equal)
         elif not put_right and len(judged[0][1].jumps):
             # In the mirrored map of a building whose two sides look alike, the robot seems to be carried between them.
             _refuse_mirrored(log, turned[1], search, hypotheses[0].misfit - equal, MIRRORED_MAP)
-        rivals = [one for one in hypotheses[1:] if is_at(one.pose, start)]
-        if any(one.cost - hypotheses[0].cost < equal > one.misfit - hypotheses[0].misfit for one in rivals):
+        if alike:
             raise TrajectoryNotFoundError(
-                f"two trajectories fit the log equally well, give the start of one{more}; {_named(hypotheses)}"
+                f"two trajectories fit the log equally well, give the start of one{more}; "
+                f"{_named((hypotheses[0], alike[0]))}"
             )
         findings = (_wrong_sign(put_right),) if put_right else ()
         return FoundCourse(steps, judged[0][1], hypotheses, findings)
@@ -223,6 +227,16 @@ def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -
         )
     )
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
+
+
+def _are_alike(drive: Drive, best: Judged, other: Judged) -> bool:
+    """Return whether another course is as likely as the best one."""
+    equal, misfit = SURELY_BETTER / len(drive.scans), other[0].misfit - best[0].misfit
+    if other[0].cost - best[0].cost < equal > misfit:
+        return True
+    parts = np.unique(drive.way[drive.scans] // ALIKE_WAY, return_inverse=True)[1]
+    sums = np.bincount(parts, other[1].costs - best[1].costs)
+    return bool(misfit < ALIKE and len(sums) > 1 and sums.sum() < np.sqrt(len(sums) * sums.var(ddof=1)))
 
 
 def _steady(judged: list[Judged]) -> list[Judged]:

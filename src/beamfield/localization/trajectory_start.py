@@ -77,6 +77,8 @@ class Course:
         (n, 3) at each scan held to the map.
     cost
         Nats: the scans' costs and those of changing the hypothesis.
+    costs
+        (n,) of each scan, nats.
     jumps
         Indices i of scans held to the map where the robot would have been carried between i - 1 and i.
     which
@@ -85,6 +87,7 @@ class Course:
 
     poses: FloatArray
     cost: float
+    costs: FloatArray
     jumps: NDArray[np.int64]
     which: NDArray[np.int64]
 
@@ -146,7 +149,7 @@ def course_through(
     changes = np.flatnonzero(np.diff(which)) + 1
     jumps = [i for i in changes if not _near(expected[i - 1], poses[i], CARRIED, CARRIED_TURN)]
     cost = float(costs.sum()) + SWITCH * len(changes) + (0.0 if is_at(poses[0], start) else ELSEWHERE)
-    return Course(poses, cost, np.array(jumps, dtype=np.int64), which)
+    return Course(poses, cost, costs, np.array(jumps, dtype=np.int64), which)
 
 
 def other_courses(followed: list[Followed], best: Course | None, start: FloatArray | None) -> list[Course]:
@@ -161,7 +164,7 @@ def other_courses(followed: list[Followed], best: Course | None, start: FloatArr
         if is_at(one.poses[0], start) and all(
             _share_apart(one.poses, course.poses) > 0.5 for course in [*known, *others]
         ):
-            others.append(Course(one.poses, cost, np.empty(0, np.int64), np.full(len(one.costs), which)))
+            others.append(Course(one.poses, cost, one.costs, np.empty(0, np.int64), np.full(len(one.costs), which)))
     return others
 
 

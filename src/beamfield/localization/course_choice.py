@@ -48,6 +48,9 @@ MANY_SCANS = 560
 # 12 s; in maps that lack much of an office by at least 0.19 and 5.3 (benchmarks/other_maps.py), or, where most of what
 # stood there was moved, 0.17 and 3.4. Of shorter logs so many times as much is asked at most.
 AGREES_FAR_MORE, COSTS_FAR_LESS, AT_MOST = 0.1, 2.5, 1.6
+# Odometry is taken to be wrong throughout if a course that learns how costs so many nats less (at most 16 where it is
+# right; where courses that do not learn it are a quarter of a metre off, 18 to 370).
+WRONG_THROUGHOUT = 30.0
 # A start that is given is believed against a worse fit, without jumps.
 MOST_COST_FROM_START = 9.0
 # What is mirrored if only mirrored scans fit, or, with odometry that is mirrored too, the map.
@@ -261,15 +264,11 @@ def _hypotheses(
 ) -> list[Judged]:  # fmt: skip
     """Return courses through the log, the cheapest first."""
     stage = "searching the map" + (f", {name}" if name else "")
-    ways = follow_hypotheses(drive, grid, walls, start, partial(report, stage))
-    followed = [one for way in ways for one in way]
-    if not followed:
-        raise TrajectoryNotFoundError("no place of the map looks like any place of the log")
-    cheapest = [
-        without_false_jumps(log, grid, drive, some, cheapest_course(drive, some, start), start)
-        for some in (followed, *ways)
-    ]
-    best = min((_judged(log, grid, drive, one) for one in cheapest), key=lambda pair: pair[0].cost)
+    rigid, learning = follow_hypotheses(drive, grid, walls, start, partial(report, stage))
+    best, followed = _cheapest(log, grid, drive, rigid, start)
+    learned = _cheapest(log, grid, drive, learning, start)
+    if (best[0].cost - learned[0][0].cost) * len(drive.scans) > WRONG_THROUGHOUT:
+        best, followed = learned
     others = [_judged(log, grid, drive, one) for one in other_courses(followed, best[1], start)[:3]]
     if start is not None and not others:
         # None else begins there: those that fit worse tell by how much the best one stands out.
@@ -281,6 +280,20 @@ def _hypotheses(
         steady = [one for one in other_courses(followed, None, start)[:1] if int(one.which[0]) not in known]
         others += [_judged(log, grid, drive, one) for one in steady]
     return sorted([best, *others], key=lambda pair: pair[0].cost)
+
+
+def _cheapest(
+    log: SensorLog, grid: OccupancyGrid, drive: Drive, ways: list[list[Followed]], start: FloatArray | None
+) -> tuple[Judged, list[Followed]]:
+    """Return the cheapest course through hypotheses that were followed in one way or another, and all of these."""
+    followed = [one for way in ways for one in way]
+    if not followed:
+        raise TrajectoryNotFoundError("no place of the map looks like any place of the log")
+    cheapest = [
+        without_false_jumps(log, grid, drive, some, cheapest_course(drive, some, start), start)
+        for some in (followed, *ways)
+    ]
+    return min((_judged(log, grid, drive, one) for one in cheapest), key=lambda pair: pair[0].cost), followed
 
 
 def _judged(log: SensorLog, grid: OccupancyGrid, drive: Drive, course: Course) -> Judged:

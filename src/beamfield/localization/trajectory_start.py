@@ -30,8 +30,9 @@ FOLLOW_HITS = (HitNoise(0.1, 0.02, -0.2, 0.0), HitNoise(0.2, 0.02, -DEEPEST_HIT,
 # Meanwhile odometry errs by so much.
 TRACK_STEPS = StepNoise(0.05**2, 0.03**2, 0.03**2, 0.1**2, 0.02**2, 1e-6)
 # What is taken to be known about its systematic errors: of distances and turns, relative, radians turned per metre, and
-# radians between where the robot heads and where it drives, as with a laser whose mount is wrong.
-TRACK_SYSTEMATIC = (0.15, 0.1, 0.05, 0.05)
+# radians between where the robot heads and where it drives, as with a laser whose mount is wrong. Or none: who learns
+# them from few walls is led astray more easily.
+TRACK_SYSTEMATIC = ((0.0, 0.0, 0.0, 0.0), (0.15, 0.1, 0.05, 0.05))
 # A scan is worth so many independent readings when hypotheses are compared.
 INDEPENDENT = 6.0
 # How uncertain a pose of the search is: metres, radians.
@@ -93,11 +94,11 @@ class Course:
 
 
 def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: FloatArray | None,
-                      progress: Callable[[int, int], None]) -> tuple[list[Followed], ...]:  # fmt: skip
+                      progress: Callable[[int, int], None]) -> list[list[list[Followed]]]:  # fmt: skip
     """Search the map at several places of the log, and follow what is found forwards and backwards.
 
-    The start (3,) is where the first scan was taken, roughly; None if that is not known. Hypotheses are those that each
-    of `FOLLOW_HITS` follows.
+    The start (3,) is where the first scan was taken, roughly; None if that is not known. For each of `TRACK_SYSTEMATIC`
+    the hypotheses are those that each of `FOLLOW_HITS` follows.
     """
     search, begun = GlobalSearch(_coarse(hollowed(grid)), sigma=SEARCH_SIGMA, angle_step=SEARCH_STEP), []
     places = _places(drive)
@@ -116,7 +117,10 @@ def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: Fl
         begun += [(place, pose) for pose in poses]
         progress(done + 1, len(places))
     ways = [hits._replace(low=max(hits.low, -walls.deepest)) for hits in FOLLOW_HITS]
-    return tuple(_follow_all(drive, walls, begun, hits, ways[-1]) for hits in ways)
+    return [
+        [_follow_all(drive, walls, begun, hits, ways[-1], systematic) for hits in ways]
+        for systematic in TRACK_SYSTEMATIC
+    ]
 
 
 def cheapest_course(drive: Drive, followed: list[Followed], start: FloatArray | None) -> Course:
@@ -183,26 +187,33 @@ def _near(a: FloatArray, b: FloatArray, distance: float, turn: float) -> bool:
 
 
 def _follow_all(
-    drive: Drive, walls: Walls, begun: list[tuple[int, FloatArray]], hits: HitNoise, judged: HitNoise
+    drive: Drive,
+    walls: Walls,
+    begun: list[tuple[int, FloatArray]],
+    hits: HitNoise,
+    judged: HitNoise,
+    systematic: tuple[float, ...],
 ) -> list[Followed]:
     """Follow poses at places of the log, each hypothesis once."""
     followed: list[Followed] = []
     for place, pose in begun:
         if not any(_near(one.poses[place], pose, *SAME) for one in followed):
-            followed.append(_follow(drive, walls, place, pose, hits, judged))
+            followed.append(_follow(drive, walls, place, pose, hits, judged, systematic))
     for one in sorted(followed, key=lambda one: float(one.costs.sum()))[:FROM_ENDS]:
-        followed += [_follow(drive, walls, end, one.poses[end], hits, judged) for end in (0, len(one.poses) - 1)]
+        ends = (0, len(one.poses) - 1)
+        followed += [_follow(drive, walls, end, one.poses[end], hits, judged, systematic) for end in ends]
     return followed
 
 
-def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray, hits: HitNoise, judged: HitNoise) -> Followed:
+def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray, hits: HitNoise, judged: HitNoise,
+            systematic: tuple[float, ...]) -> Followed:  # fmt: skip
     n = len(drive.scans)
     poses, costs = np.empty((n, 3)), np.empty(n)
     steps = drive.steps_between_scans
     for direction in (-1, 1):
         poses[place] = pose
         x_y, heading = SEARCH_DEVIATION
-        covariance = np.diag(np.square([x_y, x_y, heading, *TRACK_SYSTEMATIC]))
+        covariance = np.diag(np.square([x_y, x_y, heading, *systematic]))
         kernels.track(drive.points, drive.first, steps, walls, hits, judged, TRACK_STEPS, INDEPENDENT, place,
                       direction, poses, covariance, costs)  # fmt: skip
     return Followed(poses, costs)

@@ -49,7 +49,7 @@ MANY_SCANS = 560
 # stood there was moved, 0.17 and 3.4. Of shorter logs so many times as much is asked at most.
 AGREES_FAR_MORE, COSTS_FAR_LESS, AT_MOST = 0.1, 2.5, 1.6
 # Odometry is taken to be wrong throughout if a course that learns how costs so many nats less (at most 16 where it is
-# right; where courses that do not learn it are a quarter of a metre off, 18 to 370).
+# right; where courses that do not learn it are a quarter of a metre off, 18 to 293).
 WRONG_THROUGHOUT = 30.0
 # A start that is given is believed against a worse fit, without jumps.
 MOST_COST_FROM_START = 9.0

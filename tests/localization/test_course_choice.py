@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
-from beamfield.localization.course_choice import Judged, StartHypothesis, standing_out, starts_apart
+from beamfield.localization.course_choice import Judged, StartHypothesis, are_alike, standing_out, starts_apart
 from beamfield.localization.trajectory_start import Course
 
 START = np.zeros(3)
 LONG, SHORT = 560, 140
 
 
-def judged(cost: float, agrees: float, n_jumps: int = 0) -> Judged:
-    course = Course(np.zeros((2, 3)), cost, np.zeros(2), np.arange(n_jumps, dtype=np.int64), np.zeros(2, np.int64))
+def judged(cost: float, agrees: float, n_jumps: int = 0, costs: ArrayLike = (0.0, 0.0)) -> Judged:
+    course = Course(
+        np.zeros((2, 3)), cost, np.asarray(costs), np.arange(n_jumps, dtype=np.int64), np.zeros(2, np.int64)
+    )
     return StartHypothesis(np.zeros(3), cost, agrees, 0.3), course
 
 
@@ -66,3 +69,22 @@ def test_of_courses_that_part_later_the_start_is_named_once():
         for pose, agrees in (((9.5, 3.5, 1.5), 0.8), ((9.5, 3.6, 1.5), 0.5), ((9.5, 3.5, -1.5), 0.4))
     )
     assert starts_apart([best, other, elsewhere]) == [best, elsewhere]
+
+
+# By how much two metres of way, with four scans, cost more on the other course, in turn; and how much it misfits more.
+@pytest.mark.parametrize(
+    ("more", "misfit", "is_alike"),
+    [
+        ((8.0, 8.0), 0.0, False),  # surely
+        ((18.0, -10.0), 0.0, True),  # by chance
+        ((18.0, -10.0), 0.8, False),  # more beams pass its walls
+        ((2.0, 2.0), 0.0, True),  # not by much in all
+        ((2.0, 2.0), 0.8, False),
+    ],
+)
+def test_courses_are_alike_whose_costs_differ_by_chance(more, misfit, is_alike):
+    way, extra = 0.5 * np.arange(40), np.tile(np.repeat(more, 4) / 4.0, 5)
+    best, other = judged(3.0, 0.5, costs=np.full(40, 3.0)), judged(3.0 + extra.mean(), 0.5, costs=3.0 + extra)
+    shift = (misfit - extra.mean()) / 6.0
+    other = (other[0]._replace(through=best[0].through + shift), other[1])
+    assert are_alike(way, best, other) == is_alike

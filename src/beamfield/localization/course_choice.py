@@ -65,7 +65,7 @@ MIRRORED_MAP = (
 # Two courses whose costs and misfits differ by less, in nats, are equally likely.
 SURELY_BETTER = 30.0
 # So are two whose misfits differ by less than this, in nats per scan, if the costs of so many metres of way, which err
-# alike, differ less than by chance (one standard error).
+# alike, differ less than by chance (one standard error): docs/evidence/trajectory.md says how often that is so.
 ALIKE, ALIKE_WAY = 0.7, 2.0
 
 
@@ -155,7 +155,8 @@ def choose_course(
             continue
         hypotheses = tuple(one for one, _ in judged[:2])
         equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
-        alike = [one[0] for one in judged[1:] if is_at(one[0].pose, start) and _are_alike(drive, judged[0], one)]
+        way, rivals = drive.way[drive.scans], [one for one in judged[1:] if is_at(one[0].pose, start)]
+        alike = [one[0] for one in rivals if are_alike(way, judged[0], one)]
         if unturned is not None:
             _refuse_mirrored(log, unturned[1], search, hypotheses[0].misfit + equal)
         elif not put_right and len(judged[0][1].jumps):
@@ -232,12 +233,12 @@ def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
 
 
-def _are_alike(drive: Drive, best: Judged, other: Judged) -> bool:
-    """Return whether another course is as likely as the best one."""
-    equal, misfit = SURELY_BETTER / len(drive.scans), other[0].misfit - best[0].misfit
+def are_alike(way: FloatArray, best: Judged, other: Judged) -> bool:
+    """Return whether another course is as likely as the best one; way (n,) are the metres driven until each scan."""
+    equal, misfit = SURELY_BETTER / len(way), other[0].misfit - best[0].misfit
     if other[0].cost - best[0].cost < equal > misfit:
         return True
-    parts = np.unique(drive.way[drive.scans] // ALIKE_WAY, return_inverse=True)[1]
+    parts = np.unique(way // ALIKE_WAY, return_inverse=True)[1]
     sums = np.bincount(parts, other[1].costs - best[1].costs)
     return bool(misfit < ALIKE and len(sums) > 1 and sums.sum() < np.sqrt(len(sums) * sums.var(ddof=1)))
 

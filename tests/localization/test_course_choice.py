@@ -87,4 +87,5 @@ def test_courses_are_alike_whose_costs_differ_by_chance(more, misfit, is_alike):
     best, other = judged(3.0, 0.5, costs=np.full(40, 3.0)), judged(3.0 + extra.mean(), 0.5, costs=3.0 + extra)
     shift = (misfit - extra.mean()) / 6.0
     other = (other[0]._replace(through=best[0].through + shift), other[1])
-    assert are_alike(way, best, other) == is_alike
+    assert are_alike(way, best, other, None) == is_alike
+    assert are_alike(way, best, other, START) == (is_alike and max(more) == 2.0)

@@ -156,7 +156,7 @@ def choose_course(
         hypotheses = tuple(one for one, _ in judged[:2])
         equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
         way, rivals = drive.way[drive.scans], [one for one in judged[1:] if is_at(one[0].pose, start)]
-        alike = [one[0] for one in rivals if are_alike(way, judged[0], one)]
+        alike = [one[0] for one in rivals if are_alike(way, judged[0], one, start)]
         if unturned is not None:
             _refuse_mirrored(log, unturned[1], search, hypotheses[0].misfit + equal)
         elif not put_right and len(judged[0][1].jumps):
@@ -233,11 +233,16 @@ def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
 
 
-def are_alike(way: FloatArray, best: Judged, other: Judged) -> bool:
-    """Return whether another course is as likely as the best one; way (n,) are the metres driven until each scan."""
+def are_alike(way: FloatArray, best: Judged, other: Judged, start: FloatArray | None) -> bool:
+    """Return whether another course is as likely as the best one; way (n,) are the metres driven until each scan.
+
+    From a start that is given, courses that differ by chance slide along a corridor: their covariances say so.
+    """
     equal, misfit = SURELY_BETTER / len(way), other[0].misfit - best[0].misfit
     if other[0].cost - best[0].cost < equal > misfit:
         return True
+    if start is not None:
+        return False
     parts = np.unique(way // ALIKE_WAY, return_inverse=True)[1]
     sums = np.bincount(parts, other[1].costs - best[1].costs)
     return bool(misfit < ALIKE and len(sums) > 1 and sums.sum() < np.sqrt(len(sums) * sums.var(ddof=1)))

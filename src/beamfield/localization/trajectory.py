@@ -142,8 +142,8 @@ def fit_trajectory(
     """Find where a robot drove, from its odometry, its scans and a map; offline, over the whole log at once.
 
     1. The map is searched for the surroundings of eight places of the log. What is found at each is followed forwards
-       and backwards through the log; the cheapest way through these hypotheses is taken, with jumps from one to another
-       where the robot was carried away.
+       and backwards through the log, also as if its odometry were wrong throughout; the cheapest way through these
+       hypotheses is taken, with jumps from one to another where the robot was carried away.
     2. All poses are then fitted together: odometry from scan to scan, with errors that have long tails; end points of
        the scans to the nearest walls. How wrong both are is estimated from the log itself, as are scale errors of the
        odometry. Corridors are held by the odometry on both sides of them.

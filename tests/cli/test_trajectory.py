@@ -45,6 +45,18 @@ def test_poses_and_a_picture_are_written_and_numbers_printed(
     assert (folder / "run.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_poses_that_are_not_trusted_are_left_out_if_asked(folder: Path, capsys: pytest.CaptureFixture[str]):
+    out = folder / "trusted.tum"
+    common = ["--out", str(out), "--json", "--max-deviation", "0.01"]
+    assert run(folder, *common) == 3
+    everything = read_trajectory(out)
+    capsys.readouterr()
+    assert run(folder, *common, "--trusted-only") == 3
+    share, kept = json.loads(capsys.readouterr().out)["share_trusted"], read_trajectory(out)
+    assert 0 < len(kept) == round(100 * share) < len(everything) == 100
+    assert np.isin(kept.stamps, everything.stamps).all()
+
+
 def test_a_start_off_the_map_and_a_name_without_an_ending_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]):
     out = folder / "none.tum"
     assert run(folder, "--out", str(out), "--start", "900", "0", "0") == 2

@@ -231,6 +231,8 @@ def test_only_fully_opaque_pixels_are_opaque(save, mode):
 @pytest.mark.parametrize(("depth", "colour", "body", "key"), [
     (8, 0, bytes([0, 10, 20]), b"\0\x14"),
     (1, 0, bytes([0, 0b01000000]), b"\0\x01"),
+    (2, 0, bytes([0, 0b01100000]), b"\0\x02"),
+    (4, 0, bytes([0, 0x1E]), b"\0\x0e"),
     (16, 0, bytes([0, 0, 10, 0, 20]), b"\0\x14"),
     (8, 2, bytes([0, 1, 1, 1, 9, 9, 9]), b"\0\x09\0\x09\0\x09"),
 ])  # fmt: skip

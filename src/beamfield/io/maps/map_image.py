@@ -47,8 +47,9 @@ def read_map_image(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS
     """Read a picture as 8-bit grey levels, as map_server does.
 
     It is a PGM (P2 or P5, 8 or 16 bits), PNG (grey, RGB or palette, any depth, with or without transparency) or BMP;
-    which of them follows from its content. Deeper levels become round(255 level / maxval). Colours become their Rec.
-    709 luma, as in ImageMagick, which nav2 reads with; ROS 1 took the mean of the channels. Both agree on grey.
+    which of them follows from its content. Deeper levels become round(255 level / maxval), but of 16-bit PNG in colour
+    or with alpha the upper byte counts. Colours become their Rec. 709 luma, as in ImageMagick, which nav2 reads with;
+    ROS 1 took the mean of the channels. Both agree on grey.
 
     FormatError if it is none of these, has more than `max_pixels` (found before they are decoded) or fewer than its
     header declares, or is damaged; InvalidInputError if `max_pixels` is not positive.
@@ -179,6 +180,7 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
             _check_size(path, *picture.size, max_pixels)
             if isinstance(picture, PngImageFile):
                 require_all_pixels(file, picture)
+                _spread_key(picture)
             else:
                 _require_all_of_bmp(file, path, picture)
             picture.load()
@@ -191,6 +193,14 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
             raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FormatError(path, f"damaged picture: {reason}") from error
+
+
+def _spread_key(picture: PngImageFile) -> None:
+    # Pillow spreads grey levels of 2 and 4 bits over 0 to 255, but not the level that stands for transparent.
+    bits = {"L;2": 2, "L;4": 4}.get(str(picture.tile[0][3]))
+    if bits and "transparency" in picture.info:
+        largest = 2**bits - 1
+        picture.info["transparency"] = (picture.info["transparency"] & largest) * 255 // largest
 
 
 def _require_all_of_bmp(file: BinaryIO, path: Path, picture: ImageFile) -> None:

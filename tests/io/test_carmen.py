@@ -50,6 +50,13 @@ def test_two_poses_are_the_reference_and_the_odometry(tmp_path):
     np.testing.assert_array_equal(log.ranges[:, :3], np.tile([1.0, 2.0, 3.0], (5, 1)))
 
 
+def test_the_second_pose_of_a_robot_that_stands_is_no_mount_far_away(tmp_path):
+    log = read_one(tmp_path, *[flaser(i, laser="8 3 0.1", robot="60 -20 2", stamp=i) for i in range(3)])
+    np.testing.assert_allclose(log.poses, np.tile([8.0, 3.0, 0.1], (3, 1)))
+    np.testing.assert_allclose(log.odometry, np.tile([60.0, -20.0, 2.0], (3, 1)))
+    assert (log.finder.mounts[:, :2] == 0.0).all()
+
+
 def test_headings_are_wrapped(tmp_path):
     log = read_one(tmp_path, *[flaser(i, laser=f"{i} 0 7.0", robot=f"0 {i} -{np.pi!r}") for i in range(3)])
     np.testing.assert_allclose(log.poses[:, 2], 7.0 - 2.0 * np.pi)

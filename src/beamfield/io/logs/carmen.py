@@ -19,6 +19,8 @@ __all__ = ["read_carmen", "write_carmen"]
 # The poses of public logs have six digits or more; a pose in the frame of the odometry follows it closer than this.
 CONSTANT = 2e-3
 SAME_FRAME = 0.1
+# No laser is so far from its robot, metres: the second pose of a robot that stands is in the frame of the odometry.
+FARTHEST_LASER = 5.0
 
 
 def read_carmen(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
@@ -26,8 +28,8 @@ def read_carmen(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
 
     FLASER and RLASER have two poses: the laser's, and the robot's in the frame of the odometry.
 
-    - If they differ by a transform that is not constant, the first is the corrected pose: the reference; and the second
-      is the odometry.
+    - If they differ by a transform that is not constant, or longer than 5 m, the first is the corrected pose: the
+      reference; and the second is the odometry.
     - Otherwise the log has one trajectory only. SLAM programs write corrected logs that way, so it is the reference and
       there is no odometry (``lone_poses="odometry"``: the other way round, for logs that are raw). The ODOM lines are
       taken as odometry only where they do not follow those poses: SLAM programs correct them, too.
@@ -135,7 +137,7 @@ def _place(
     if name.startswith("ROBOTLASER"):
         scans.constant_mount(seen, CONSTANT)
     typical = middle_mount(seen)
-    if np.abs(between(typical, seen)).max() > CONSTANT:
+    if np.abs(between(typical, seen)).max() > CONSTANT or np.hypot(typical[0], typical[1]) > FARTHEST_LASER:
         _note_mount(name, mount, notes)
         return _Placed(mount, compose(laser, invert(mount)), robot)
     # One trajectory. Equal poses are the laser's, as the mount says; else the second one is the robot's.

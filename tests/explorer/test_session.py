@@ -1,12 +1,14 @@
 """What the explorer answers is what the models say."""
 
 import base64
+import io
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from PIL import Image
 from scipy.integrate import trapezoid
 
 from beamfield.errors import InvalidInputError
@@ -15,6 +17,7 @@ from beamfield.explorer.parameter_set import _default_set, read_set, typical_set
 from beamfield.explorer.server import as_json
 from beamfield.explorer.session import Session
 from beamfield.io.parameters.beam_model_file import read_beam_model
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
@@ -54,6 +57,17 @@ def test_the_start_has_the_map_and_the_log(session, log):
     assert start["numbers"]["p-value"][-1] is None
     assert [one["kind"] for one in start["sets"]] == ["beam", "field", "stack"]
     assert base64.b64decode(start["map"]["picture"])[:4] == b"\x89PNG"
+
+
+def test_a_wall_of_one_cell_is_in_the_picture_of_a_map_that_is_too_large_for_it(log, session, monkeypatch):
+    monkeypatch.setattr("beamfield.explorer.session.LARGEST_PICTURE", 3)
+    probability = np.full((7, 5), np.nan)
+    probability[:4] = 0.0
+    probability[1, 3] = 1.0
+    start = ask(Session(log, OccupancyGrid(probability, 0.1), session.sets), "start")
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(start["map"]["picture"]))))
+    # Blocks of three cells, the highest first: unknown, free in part, and with the wall in the second column.
+    assert picture.tolist() == [[[0, 0], [0, 0]], [[255, 255], [255, 255]], [[255, 255], [0, 255]]]
 
 
 def test_scores_are_those_of_the_models(session, grid, log):

@@ -22,7 +22,7 @@ from beamfield.explorer.scores import PoseScores
 from beamfield.explorer.shown_run import AGREEMENT, ShownRun, run_from
 from beamfield.geometry import FloatArray
 from beamfield.kernels.threads import n_threads, set_threads
-from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.maps.ray_agreement import LEAST_AGREEMENT
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_density import beam_responsibilities
@@ -142,10 +142,11 @@ class Session:
     def _picture(self) -> str:
         """The map as a PNG in base64: white is free, black occupied, transparent unknown."""
         step = -(-max(self.grid.shape) // LARGEST_PICTURE)
-        pixels = np.zeros((*self.grid.shape, 2), np.uint8)
-        pixels[self.grid.free] = (255, 255)
-        pixels[self.grid.occupied] = (0, 255)
-        return _png(Image.fromarray(pixels[::-step, ::step], "LA"))
+        free, occupied = _any_in_blocks(self.grid.free, step), _any_in_blocks(self.grid.occupied, step)
+        pixels = np.zeros((*free.shape, 2), np.uint8)
+        pixels[free] = (255, 255)
+        pixels[occupied] = (0, 255)
+        return _png(Image.fromarray(pixels[::-1], "LA"))
 
     @property
     def _extent(self) -> list[float]:
@@ -320,6 +321,13 @@ def _thinned(scan: Scan) -> Scan:
     if scan.finder.n_beams <= MOST_BEAMS:
         return scan
     return scan.subset(np.unique(np.round(np.linspace(0, scan.finder.n_beams - 1, MOST_BEAMS)).astype(np.int64)))
+
+
+def _any_in_blocks(mask: BoolArray, step: int) -> BoolArray:
+    """Return which blocks of step x step cells hold any: walls of one cell must not vanish from a smaller picture."""
+    for axis, n in enumerate(mask.shape):
+        mask = np.logical_or.reduceat(mask, np.arange(0, n, step), axis=axis)
+    return mask
 
 
 def _png(picture: Image.Image) -> str:

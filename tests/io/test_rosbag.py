@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError
+from beamfield.geometry import compose
 from beamfield.io.bags.reader import read_bag, read_bag_map
 from tests.io.mini_bag import LASER_SCAN, STORAGES, MiniBag, quaternion
 
@@ -372,6 +373,22 @@ def test_sparse_localisation_is_bridged_by_odometry(tmp_path):
     log = read_bag(bag.write(tmp_path))
     assert np.allclose(log.only_sensor().poses, [[2.5, 0.05, 0.5], [7.5, 0.15, 1.5]], atol=1e-6)
     assert any("odometry between its poses" in note for note in log.notes)
+
+
+def test_where_the_odometrys_frame_lies_changes_nothing_between_sparse_poses(tmp_path):
+    """The localiser errs by up to 0.1 rad; a robot that has come far has its odometry's origin far away."""
+    found = []
+    for name, far in (("near", (0.0, 0.0, 0.0)), ("far", (200.0, -90.0, 1.0))):
+        bag = MiniBag().tf("base_link", "laser", 100.0, static=True)
+        for time in np.arange(0.0, 4.05, 0.1):
+            x, y, heading = compose(far, [time, 0.1 * time, 0.2 * time]).tolist()
+            bag.tf("odom", "base_link", 100.0 + time, (x, y, 0.0), quaternion(yaw=heading))
+        for time, error in ((0.0, 0.1), (2.0, -0.1), (4.0, 0.1)):
+            bag.pose(100.0 + time, (time, 0.0), 0.2 * time + error)
+        for time in (0.5, 1.0, 3.0):
+            bag.scan(100.0 + time)
+        found.append(read_bag(bag.write(tmp_path, name)).only_sensor().poses)
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6)
 
 
 def test_the_odometry_topic_serves_where_tf_has_none_and_is_moved_to_the_robots_frame(tmp_path):

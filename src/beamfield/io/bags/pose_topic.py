@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from beamfield.errors import FormatError
-from beamfield.geometry import FloatArray, compose, interpolate_poses, invert, wrap_angle
+from beamfield.geometry import FloatArray, between, compose, interpolate_poses, wrap_angle
 from beamfield.io.bags.bag_file import BagMessage
 from beamfield.io.bags.frames import Transforms, find_fault, strip_slash
 from beamfield.io.bags.laser_scan import ordered_stamps
@@ -85,19 +85,32 @@ def poses_at(track: Track, stamps: FloatArray,
     """Return the poses (n, 3) of a track in the map at other times, and whether odometry bridged its gaps.
 
     A localiser publishes a pose when it has updated, every few decimetres, and none while the robot stands. Between two
-    such poses the robot follows its odometry: what is interpolated is the correction, map_from_odom. Poses are NaN
-    before the first one, after the last one, and in gaps.
+    such poses the robot follows its odometry from either of them, and what is interpolated is where that leads: where
+    the odometry's frame lies does not matter. Without bridging, poses are NaN in gaps, and always before the first one
+    and after the last one.
 
     `odometry_at` returns the odometry's poses (n, 3) at given times, NaN where they are not known; None if there is
     none.
     """
     if odometry_at is not None and len(track) > 1 and float(np.median(np.diff(track.stamps))) > SPARSE:
-        reference = odometry_at(track.stamps)
-        known = np.isfinite(reference).all(axis=1)
-        correction = compose(track.poses[known], invert(reference[known]))
-        between = interpolate_poses(track.stamps[known], correction, stamps)
-        return compose(between, odometry_at(stamps)), True
+        return _bridged(track, stamps, odometry_at(track.stamps), odometry_at(stamps)), True
     return interpolate_poses(track.stamps, track.poses, stamps, max_gap=MAX_GAP), False
+
+
+def _bridged(track: Track, stamps: FloatArray, odometry: FloatArray, driven: FloatArray) -> FloatArray:
+    """Return the poses (n, 3) at other times, given the odometry at the track's poses and at these times."""
+    known = np.isfinite(odometry).all(axis=1)
+    times, poses, odometry = track.stamps[known], track.poses[known], odometry[known]
+    if not len(times):
+        return np.full_like(driven, np.nan)
+    after = np.clip(np.searchsorted(times, stamps), min(1, len(times) - 1), len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    ahead, back = (compose(poses[i], between(odometry[i], driven)) for i in (before, after))
+    length = times[after] - times[before]
+    share = np.divide(stamps - times[before], length, out=np.zeros(len(stamps)), where=length > 0.0)
+    result = compose(ahead, share[:, None] * between(ahead, back))
+    result[(stamps < times[0]) | (stamps > times[-1])] = np.nan
+    return result
 
 
 def in_base_frame(track: Track, child_from_base: FloatArray) -> Track:

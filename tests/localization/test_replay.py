@@ -164,6 +164,17 @@ def test_intervals_of_differences_hold_the_truth_as_often_as_they_say(rng):
     assert 0.89 <= held / 100 <= 0.99
 
 
+@pytest.mark.parametrize(("n_seeds", "n_logs"), [(2, 1), (3, 1), (5, 1), (3, 3)])
+def test_intervals_of_few_seeds_hold_the_truth_as_often_too(n_seeds, n_logs, rng):
+    held = 0
+    for _ in range(200):
+        pairs = [(trials(rng.normal(0.2, 0.02, n_seeds), str(i)), trials(rng.normal(0.2, 0.05, n_seeds), str(i)))
+                 for i in range(n_logs)]  # fmt: skip
+        found = compare_trials(*zip(*pairs, strict=True))
+        held += found.low <= 0.0 <= found.high
+    assert 0.91 <= held / 200 <= (0.99 if n_logs == 1 else 1.0)
+
+
 def test_logs_count_alike_and_seeds_are_drawn_within_them():
     before = [trials(np.full(10, 1.0), "a"), trials(np.full(40, 2.0), "b")]
     after = [trials(np.full(10, 0.0), "a"), trials(np.full(40, 2.5), "b")]

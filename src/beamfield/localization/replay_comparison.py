@@ -21,6 +21,8 @@ from beamfield.short_repr import short_repr
 FEWEST_SEEDS = 10
 # Samples of seeds that an interval is taken from, and the share of intervals that hold the difference in the long run.
 REPLICATES, LEVEL = 4000, 0.95
+# No sample goes beyond the outermost difference: of fewer seeds, the widest interval holds the truth less often.
+FEWEST_DRAWN = 6
 # What is compared between filters, with its unit.
 COMPARED = {
     "mean": ("mean position error", "m"),
@@ -170,7 +172,7 @@ def compare_trials(
 
     The 95% interval is a bootstrap percentile interval of the mean paired difference: seeds are drawn within each log,
     and logs count alike. It speaks of these logs, and of all seeds. Percentiles are moved outwards as far as Student's
-    t is wider than the normal distribution, because they are too narrow for few seeds.
+    t is wider than the normal distribution, because they are too narrow for few seeds. Below 6 it is Student's.
 
     Parameters
     ----------
@@ -209,7 +211,11 @@ def compare_trials(
     gains = [b.column(measure) - a.column(measure) for a, b in zip(before, after, strict=True)]
     n = min(map(len, gains))
     low, high = -np.inf, np.inf
-    if n > 1:
+    if 1 < n < FEWEST_DRAWN:
+        error = np.sqrt(sum(one.var(ddof=1) / len(one) for one in gains)) / len(gains)
+        middle, reach = np.mean([one.mean() for one in gains]), stdtrit(n - 1, 0.5 + 0.5 * LEVEL) * error
+        low, high = float(middle - reach), float(middle + reach)
+    elif n > 1:
         sums = np.mean([_means_of_samples(one, rng) for one in gains], axis=0)
         tail = float(ndtr(np.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 - 0.5 * LEVEL)))
         low, high = np.quantile(sums, [tail, 1.0 - tail]).tolist()

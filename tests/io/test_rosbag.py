@@ -403,6 +403,18 @@ def test_the_odometry_topic_serves_where_tf_has_none_and_is_moved_to_the_robots_
     assert len(log.odometry) == 2
 
 
+def test_odometry_of_a_camera_that_looks_down_is_that_of_the_robot_below_it(tmp_path):
+    """The camera sits 0.2 m ahead and 1 m up, pitched by half a radian: seen from it, the robot is not just behind."""
+    bag = MiniBag().tf("base_link", "laser", 0.0, static=True)
+    bag.tf("base_link", "camera", 0.0, (0.2, 0.0, 1.0), quaternion(pitch=0.5), static=True)
+    driven = np.array([[1.0, 0.0, 0.0], [1.5, 0.4, 1.0], [1.6, 1.0, 2.0]])
+    for time, (x, y, heading) in enumerate(driven.tolist(), start=1):
+        at = (x + 0.2 * np.cos(heading), y + 0.2 * np.sin(heading))
+        bag.odometry(float(time), at, q=quaternion(pitch=0.5, yaw=heading), child="camera").scan(float(time))
+    log = read_bag(bag.write(tmp_path))
+    np.testing.assert_allclose(log.only_sensor().odometry, driven, atol=1e-9)
+
+
 def test_several_sensors_are_read_unless_one_is_chosen(tmp_path):
     bag = MiniBag().scan(1.0, topic="/front", frame="f").scan(1.0, [1.0], topic="/rear", frame="r")
     path = bag.write(tmp_path)

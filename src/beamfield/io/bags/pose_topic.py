@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from beamfield.errors import FormatError
-from beamfield.geometry import FloatArray, between, compose, interpolate_poses, wrap_angle
+from beamfield.geometry import FloatArray, between, compose, interpolate_poses
 from beamfield.io.bags.bag_file import BagMessage
 from beamfield.io.bags.frames import Transforms, find_fault, strip_slash
 from beamfield.io.bags.laser_scan import ordered_stamps
@@ -57,8 +57,11 @@ class PoseTopicCollector:
     def __len__(self) -> int:
         return len(self._stamps)
 
-    def track(self, notes: list[str]) -> Track:
-        """Return the poses in the plane, sorted by time; where stamps are equal the last one counts.
+    def track(self, notes: list[str], child_from_base: Transforms) -> Track:
+        """Return the robot's poses in the plane, sorted by time; where stamps are equal the last one counts.
+
+        `child_from_base` is the robot's constant pose in the frame that the topic is of, which may be tilted as a
+        camera is: one motion.
 
         FormatError names topic and message if a pose is not finite, its quaternion is not of length 1, or the stamps go
         backwards.
@@ -66,7 +69,7 @@ class PoseTopicCollector:
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 7)
         self._check(rows)
         rotation = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
-        poses = Transforms(rows[:, :3], rotation).planar()
+        poses = (Transforms(rows[:, :3], rotation) @ child_from_base).planar()
         # The one pose of a localizer that stands may be published again and again.
         recorded = np.array(self._recorded) if self.is_odometry else None
         stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, notes, recorded)
@@ -111,10 +114,3 @@ def _bridged(track: Track, stamps: FloatArray, odometry: FloatArray, driven: Flo
     result = compose(ahead, share[:, None] * between(ahead, back))
     result[(stamps < times[0]) | (stamps > times[-1])] = np.nan
     return result
-
-
-def in_base_frame(track: Track, child_from_base: FloatArray) -> Track:
-    """Return the track of the base, given its constant pose (3,) in the frame whose track it is."""
-    poses = compose(track.poses, child_from_base)
-    poses[:, 2] = wrap_angle(poses[:, 2])
-    return Track(track.stamps, poses)

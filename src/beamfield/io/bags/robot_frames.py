@@ -14,7 +14,7 @@ from beamfield.geometry import FloatArray, as_poses, compose, interpolate_poses
 from beamfield.io.bags.frames import TransformBuffer, Transforms, rotate, strip_slash
 from beamfield.io.bags.laser_scan import LaserScans
 from beamfield.io.bags.namespaces import holds
-from beamfield.io.bags.pose_topic import MAX_GAP, PoseTopicCollector, in_base_frame, poses_at
+from beamfield.io.bags.pose_topic import MAX_GAP, PoseTopicCollector, poses_at
 from beamfield.sensors import Track
 
 MAX_TILT = np.deg2rad(5.0)  # from here on a scan is not a cut through the map's plane: cos(5 deg) shortens it by 0.4%
@@ -219,7 +219,7 @@ def find_odometry(content: BagContent, base: str, notes: list[str]) -> Odometry:
 
             return Odometry(in_tf, Track(track.stamps[known], track.poses[known]), frame)
     if topic is not None and len(topic):
-        track = in_base_frame(topic.track(notes), _child_from_base(content, topic, base, notes))
+        track = topic.track(notes, _child_from_base(content, topic, base, notes))
         notes.append(f"odometry: topic {topic.topic}")
         return _from_track(track)
     if content.ranger_odometry is not None:
@@ -272,18 +272,18 @@ def _moves_on(content: BagContent, frame: str, base: str) -> bool:
     return _moves(*_motion(content.frames.look_up(base, frame, content.scans[0].stamps, hold=True)))
 
 
-def _child_from_base(content: BagContent, topic: PoseTopicCollector, base: str, notes: list[str]) -> FloatArray:
+def _child_from_base(content: BagContent, topic: PoseTopicCollector, base: str, notes: list[str]) -> Transforms:
     """Return where the robot's frame sits in the frame whose poses the topic has."""
     child = topic.child
     if not child or child == base or not base:
-        return np.zeros(3)
+        return Transforms.identity(1)
     if not content.frames.connected(child, base):
         notes.append(
             f"{topic.topic}: its frame {child!r} is not connected to {base!r}; they are assumed to be the same"
         )
-        return np.zeros(3)
+        return Transforms.identity(1)
     stamps = content.scans[0].stamps[:1]
-    return np.asarray(content.frames.look_up(child, base, stamps, hold=True).planar()[0])
+    return content.frames.look_up(child, base, stamps, hold=True)
 
 
 def find_reference(content: BagContent, base: str, poses_topic: str | None, map_frame: str | None, odometry: Odometry,
@@ -361,7 +361,7 @@ def _reference_topic(content: BagContent, topic: PoseTopicCollector, base: str, 
                      notes: list[str]) -> Callable[[FloatArray], FloatArray]:  # fmt: skip
     if len(topic) == 0:
         raise FormatError(content.path, "the topic holds no poses", field=topic.topic)
-    track = in_base_frame(topic.track(notes), _child_from_base(content, topic, base, notes))
+    track = topic.track(notes, _child_from_base(content, topic, base, notes))
     map_frame, map_from_frame = _map_from_frame(content, topic.frame)
     track = Track(track.stamps, compose(map_from_frame, track.poses))
     odometry_at = None if odometry.track is None else odometry.at

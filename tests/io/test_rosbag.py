@@ -415,6 +415,16 @@ def test_odometry_of_a_camera_that_looks_down_is_that_of_the_robot_below_it(tmp_
     np.testing.assert_allclose(log.only_sensor().odometry, driven, atol=1e-9)
 
 
+def test_poses_of_a_motion_capture_whose_y_points_upwards_are_turned_into_the_map(tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 0.0, static=True)
+    bag.tf("map", "capture", 0.0, (3.0, 1.0, 0.0), quaternion(roll=np.pi / 2), static=True)
+    for time, heading in ((1.0, 0.3), (1.1, -2.5)):
+        turned = quaternion(roll=-np.pi / 2, pitch=heading)  # the robot's heading turns about y there
+        bag.odometry(time, (time, 0.0), q=turned, topic="/ground_truth/odom", frame="capture").scan(time)
+    log = read_bag(bag.write(tmp_path))
+    np.testing.assert_allclose(log.only_sensor().poses, [[4.0, 1.0, 0.3], [4.1, 1.0, -2.5]], atol=1e-9)
+
+
 def test_several_sensors_are_read_unless_one_is_chosen(tmp_path):
     bag = MiniBag().scan(1.0, topic="/front", frame="f").scan(1.0, [1.0], topic="/rear", frame="r")
     path = bag.write(tmp_path)

@@ -57,11 +57,11 @@ class PoseTopicCollector:
     def __len__(self) -> int:
         return len(self._stamps)
 
-    def track(self, notes: list[str], child_from_base: Transforms) -> Track:
+    def track(self, notes: list[str], child_from_base: Transforms, target_from_frame: Transforms) -> Track:
         """Return the robot's poses in the plane, sorted by time; where stamps are equal the last one counts.
 
-        `child_from_base` is the robot's constant pose in the frame that the topic is of, which may be tilted as a
-        camera is: one motion.
+        Two constant motions lead to the robot from the frame that the topic is of, which may be tilted as a camera is,
+        and to the frame that is asked for from the one that the poses are in, whose z may not point upwards.
 
         FormatError names topic and message if a pose is not finite, its quaternion is not of length 1, or the stamps go
         backwards.
@@ -69,7 +69,7 @@ class PoseTopicCollector:
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 7)
         self._check(rows)
         rotation = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
-        poses = (Transforms(rows[:, :3], rotation) @ child_from_base).planar()
+        poses = (target_from_frame @ Transforms(rows[:, :3], rotation) @ child_from_base).planar()
         # The one pose of a localizer that stands may be published again and again.
         recorded = np.array(self._recorded) if self.is_odometry else None
         stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, notes, recorded)

@@ -219,7 +219,7 @@ def find_odometry(content: BagContent, base: str, notes: list[str]) -> Odometry:
 
             return Odometry(in_tf, Track(track.stamps[known], track.poses[known]), frame)
     if topic is not None and len(topic):
-        track = topic.track(notes, _child_from_base(content, topic, base, notes))
+        track = topic.track(notes, _child_from_base(content, topic, base, notes), Transforms.identity(1))
         notes.append(f"odometry: topic {topic.topic}")
         return _from_track(track)
     if content.ranger_odometry is not None:
@@ -361,9 +361,8 @@ def _reference_topic(content: BagContent, topic: PoseTopicCollector, base: str, 
                      notes: list[str]) -> Callable[[FloatArray], FloatArray]:  # fmt: skip
     if len(topic) == 0:
         raise FormatError(content.path, "the topic holds no poses", field=topic.topic)
-    track = topic.track(notes, _child_from_base(content, topic, base, notes))
     map_frame, map_from_frame = _map_from_frame(content, topic.frame)
-    track = Track(track.stamps, compose(map_from_frame, track.poses))
+    track = topic.track(notes, _child_from_base(content, topic, base, notes), map_from_frame)
     odometry_at = None if odometry.track is None else odometry.at
     bridged = poses_at(track, track.stamps[:1], odometry_at)[1]
     notes.append(
@@ -374,14 +373,13 @@ def _reference_topic(content: BagContent, topic: PoseTopicCollector, base: str, 
     return lambda when: poses_at(track, when, odometry_at)[0]
 
 
-def _map_from_frame(content: BagContent, frame: str) -> tuple[str, FloatArray]:
-    """Return the map's frame, and the pose (3,) in it of another frame that is fixed to it; else "", and no motion."""
+def _map_from_frame(content: BagContent, frame: str) -> tuple[str, Transforms]:
+    """Return the map's frame, and where another frame that is fixed to it lies in it; else "", and no motion."""
     frames = content.frames
     for name in (f for f in frames.frames if _last_name(f) == "map"):
         if name != frame and frames.connected(name, frame) and not _moves_on(content, frame, name):
-            fixed = frames.look_up(name, frame, content.scans[0].stamps[:1], hold=True)
-            return name, np.asarray(fixed.planar()[0])
-    return "", np.zeros(3)
+            return name, frames.look_up(name, frame, content.scans[0].stamps[:1], hold=True)
+    return "", Transforms.identity(1)
 
 
 def says_truth(topic: str) -> bool:

@@ -423,6 +423,16 @@ def test_poses_of_a_motion_capture_whose_y_points_upwards_are_turned_into_the_ma
         bag.odometry(time, (time, 0.0), q=turned, topic="/ground_truth/odom", frame="capture").scan(time)
     log = read_bag(bag.write(tmp_path))
     np.testing.assert_allclose(log.only_sensor().poses, [[4.0, 1.0, 0.3], [4.1, 1.0, -2.5]], atol=1e-9)
+    assert not any("tilted" in note for note in log.notes)
+
+
+def test_a_topic_whose_frame_has_no_z_upwards_is_named_where_nothing_turns_it(tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 0.0, static=True)
+    lying, topic = quaternion(roll=-np.pi / 2), "/ground_truth/odom"
+    for time in (1.0, 1.1):
+        bag.odometry(time, (time, 0.0), q=lying, topic=topic, frame="capture").scan(time)
+    (note,) = (note for note in read_bag(bag.write(tmp_path), poses_topic=topic).notes if "tilted" in note)
+    assert note.startswith(f"{topic}: by its poses the robot is tilted by 90 degrees (median)")
 
 
 def test_several_sensors_are_read_unless_one_is_chosen(tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, between, compose, interpolate_poses
 from beamfield.io.bags.bag_file import BagMessage
-from beamfield.io.bags.frames import Transforms, find_fault, strip_slash
+from beamfield.io.bags.frames import Transforms, find_fault, rotate, strip_slash
 from beamfield.io.bags.laser_scan import ordered_stamps
 from beamfield.sensors import Track
 
@@ -22,6 +22,7 @@ POSE_TYPES = (ODOMETRY, POSE_WITH_COVARIANCE, POSE_STAMPED)
 
 MAX_GAP = 2.0  # seconds without a transform or pose over which nothing is interpolated
 SPARSE = 0.2  # seconds: poses further apart than this are bridged by odometry, if there is any
+MOST_TILT_DEG = 20.0  # of the poses of a robot on the floor
 
 
 @dataclass(eq=False)
@@ -69,12 +70,23 @@ class PoseTopicCollector:
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 7)
         self._check(rows)
         rotation = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
-        poses = (target_from_frame @ Transforms(rows[:, :3], rotation) @ child_from_base).planar()
+        robots = target_from_frame @ Transforms(rows[:, :3], rotation) @ child_from_base
+        poses = robots.planar()
+        self._note_tilt(robots, notes)
         # The one pose of a localizer that stands may be published again and again.
         recorded = np.array(self._recorded) if self.is_odometry else None
         stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, notes, recorded)
         last = np.append(np.diff(stamps) > 0, True) if len(stamps) else np.zeros(0, dtype=bool)
         return Track(stamps[last], poses[order][last])
+
+    def _note_tilt(self, robots: Transforms, notes: list[str]) -> None:
+        up = rotate(robots.rotation, np.array([0.0, 0.0, 1.0]))[:, 2]
+        tilt = float(np.degrees(np.arccos(np.clip(np.median(up), -1.0, 1.0)))) if len(up) else 0.0
+        if tilt > MOST_TILT_DEG:
+            notes.append(
+                f"{self.topic}: by its poses the robot is tilted by {tilt:.0f} degrees (median), so they are not those "
+                f"of a robot on the floor: does z point upwards in the frame {self.frame!r}?"
+            )
 
     def _check(self, rows: FloatArray) -> None:
         fault = find_fault(rows)

@@ -11,6 +11,7 @@ import pytest
 from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError
 from beamfield.geometry import compose
 from beamfield.io.bags.reader import read_bag, read_bag_map
+from beamfield.io.read_log import read_log
 from tests.io.mini_bag import LASER_SCAN, STORAGES, MiniBag, quaternion
 
 
@@ -433,6 +434,16 @@ def test_a_topic_whose_frame_has_no_z_upwards_is_named_where_nothing_turns_it(tm
         bag.odometry(time, (time, 0.0), q=lying, topic=topic, frame="capture").scan(time)
     (note,) = (note for note in read_bag(bag.write(tmp_path), poses_topic=topic).notes if "tilted" in note)
     assert note.startswith(f"{topic}: by its poses the robot is tilted by 90 degrees (median)")
+
+
+def test_beams_at_the_ends_of_a_mask_are_masked_though_bags_have_single_precision(tmp_path):
+    step = np.pi / 180.0
+    bag = MiniBag().scan(1.0, np.ones(181), angle_min=-np.pi / 2, increment=step)
+    path = bag.write(tmp_path)
+    for first, last in ((-90, -60), (-31, -15), (60, 90)):
+        ranges = read_log(path, mask=[(np.radians(first), np.radians(last))]).only_sensor().ranges[0]
+        masked = np.arange(-90, 91)[np.isnan(ranges)]
+        assert (masked[0], masked[-1], len(masked)) == (first, last, last - first + 1)
 
 
 def test_several_sensors_are_read_unless_one_is_chosen(tmp_path):

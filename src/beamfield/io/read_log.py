@@ -35,6 +35,8 @@ SUPPORTED = (
 
 # The first line of a range table; its module would load the numerical libraries.
 RANGE_TABLE = "beamfield range table"
+# Radians: bearings of single precision lie so close to the ends of a sector that they are meant to be in.
+EDGE = 1e-6
 # Lines without any known word after which a file is given up; odometry may come long before the first scan.
 UNKNOWN_LINES = 100
 
@@ -150,7 +152,8 @@ def _adjusted(log: ScanLog, mask: Sequence[tuple[float, float]], opening_angle: 
             for first, last in mask:
                 if not (math.isfinite(first) and math.isfinite(last)):
                     raise InvalidInputError(f"mask: expected finite bearings in radians, got {(first, last)!r}")
-                blind |= (finder.bearings - first) % (2.0 * math.pi) <= (last - first) % (2.0 * math.pi)
+                width = (last - first) % (2.0 * math.pi)
+                blind |= (finder.bearings - first + EDGE) % (2.0 * math.pi) <= width + 2.0 * EDGE
             ranges = np.where(blind, np.nan, ranges)
             notes.append(f"{name}: {blind.sum()} of {len(blind)} beams masked")
         sensors[name] = replace(sensor, finder=finder, ranges=ranges)

@@ -14,6 +14,7 @@ from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, chained, wrap_angle
 from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive, mirrored, with_points
+from beamfield.localization.moving_objects import without_moving_objects
 from beamfield.localization.trajectory_start import (
     Course,
     Followed,
@@ -145,9 +146,13 @@ def choose_course(
     search = partial(_hypotheses, grid=grid, walls=walls, start=start, report=report)
     plain, turned, reversed_, both = ("", drive), *mirrored(drive)
     first: tuple[StartHypothesis, ...] = ()
-    # Scans that turn against the odometry may be what is mirrored; only the map tells.
-    for (put_right, steps), unturned in ((plain, None), (turned, plain), (reversed_, None), (both, reversed_)):
-        judged = search(log, steps, put_right)
+    # Scans that turn against the odometry may be what is mirrored; only the map tells. By odometry that is wrong
+    # throughout all seems to move.
+    for (put_right, steps), unturned, still in (
+        (plain, None, True), (plain, None, False), (turned, plain, True), (reversed_, None, True),
+        (both, reversed_, True),
+    ):  # fmt: skip
+        judged = search(log, steps, put_right, still=still)
         first = first or tuple(one for one, _ in judged[:2])
         if judged[0][0].misfit > (MOST_COST if len(judged[0][1].jumps) else limit):
             judged = standing_out(judged, start, len(drive.scans)) or (_steady(judged) if start is not None else [])
@@ -266,9 +271,12 @@ def _refuse_mirrored(log: SensorLog, drive: Drive, search: Callable[..., list[Ju
 
 def _hypotheses(
     log: SensorLog, drive: Drive, name: str, *, grid: OccupancyGrid, walls: Walls, start: FloatArray | None,
-    report: Progress,
+    report: Progress, still: bool = True,
 ) -> list[Judged]:  # fmt: skip
-    """Return courses through the log, the cheapest first."""
+    """Return courses through the log, the cheapest first; by what stands still alone, or by all readings."""
+    if still:
+        log = without_moving_objects(log, drive)
+        drive = with_points(drive, log)
     stage = "searching the map" + (f", {name}" if name else "")
     rigid, learning = follow_hypotheses(drive, grid, walls, start, partial(report, stage))
     best, followed = _cheapest(log, grid, drive, rigid, start)

@@ -18,6 +18,7 @@ from beamfield.localization.course_choice import FoundCourse, MirroredError, Sta
 from beamfield.localization.drive import Drive, prepare, with_points, without_points
 from beamfield.localization.laser_mount import mount_of_fit, mount_of_scans
 from beamfield.localization.mapped_area import MappedArea
+from beamfield.localization.moving_objects import without_crowd
 from beamfield.localization.robot_faults import OF_THE_ROBOT
 from beamfield.localization.scan_delay import scan_delay
 from beamfield.localization.scan_odometry import odometry_from_scans
@@ -241,7 +242,9 @@ def fit_course(
     readings.
     """
     report = progress or (lambda _stage, _done, _total: None)
-    walls, drive = walls_of(grid), with_points(found.drive, log)
+    walls = walls_of(grid)
+    still, crowd = without_crowd(log, found.drive, found.course.poses)
+    drive = with_points(found.drive, still)
     _check_points(drive)
     poses, cut = _spread_out(drive, found.course)
     report("fitting all poses", 0, 1)
@@ -273,9 +276,11 @@ def fit_course(
         seen = [one for one in seen if one.name != "wheel-slip"]
     distance = _distance_scale(fitted, wrong)
     seen = [*(scale_finding(distance) if log.has_odometry else ()), *seen]
-    findings = [*before, *seen, *more, *robot_in_sight(log), *parts_that_disagree(log, walls, fitted.poses, trusted)]
+    held = drive.scans
+    parts = parts_that_disagree(still[held], walls, fitted.poses[held], trusted[held])
+    findings = [*before, *seen, *more, *crowd, *robot_in_sight(log), *parts]
     fit = _result(log, fitted, distance, turns, trusted, findings, found.hypotheses)
-    outdated = find_outdated_map(log, grid, fit.poses, are_right=fit.is_beyond_doubt)
+    outdated = find_outdated_map(still[held], grid, fit.poses[held], are_right=fit.is_beyond_doubt)
     return fit if outdated is None else replace(fit, findings=worst_first([*findings, outdated]))
 
 

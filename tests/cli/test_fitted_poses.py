@@ -13,8 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from beamfield.calibration import reference_checks
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.cli.fitted_poses import fit_in_map, instead_of_own, posed_log, with_map_judged
+from beamfield.cli.fitted_poses import REFUTED, fit_in_map, instead_of_own, posed_log, with_map_judged
 from beamfield.cli.main import main
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import BeamfieldError, FormatError, TrajectoryNotFoundError
@@ -368,13 +369,16 @@ def named(name: str) -> Finding:
     return Finding(name, "warning", f"{name}.", do="Mend it.")
 
 
-@pytest.mark.parametrize("refuted_by", ["reference-slides", "map-disagrees-in-part", "map-disagrees"])
+@pytest.mark.parametrize(
+    "refuted_by", ["reference-slides", "map-disagrees-in-part", "map-out-of-date", "map-disagrees"]
+)
 def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_robot_or_map(
     world: Path, monkeypatch, refuted_by: str
 ):
     sensor, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
     found = (named(refuted_by),)
-    # Poses that fit the whole drive show that the map is what is wrong.
+    # These refute the fitted poses, too; but poses that fit the whole drive show that the map is what is wrong.
+    monkeypatch.setattr(reference_checks, "pose_findings", lambda *_: found)
     unless = "own-poses-agree" if refuted_by == "map-disagrees" else None
     for faults, expected in (((), unless), ((named("laser-mount"),), "own-poses-agree")):
         fit = replace(fit_of(world), findings=faults)
@@ -383,6 +387,18 @@ def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_robot_
         assert (better and better.instead_of.name) == expected
     assert "laser-mount" in [one.name for one in better.findings()]
     assert instead_of_own(sensor, grid, (named("pose-in-wall"),), StageProgress(quiet=True)) is None
+
+
+@pytest.mark.usefixtures("fitted_once")
+def test_a_right_map_is_not_blamed_for_own_poses_that_lie_a_little_off(world: Path):
+    log, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
+    off = log.with_poses(log.poses + np.array([0.2, 0.2, np.radians(6.0)]))
+    arguments = argparse.Namespace(map=world / "map.yaml")
+    _, instead, found = posed_log(off, grid, arguments, StageProgress(quiet=True), world / "log.carmen", None, None)
+    assert any(one.name in REFUTED for one in reference_checks.pose_findings(off, grid))
+    assert instead is not None
+    assert instead.instead_of.name == "own-poses-agree"
+    assert not any(one.name in REFUTED for one in found)
 
 
 def test_fitted_poses_that_slide_are_not_answered_with_the_advice_to_fit_some():

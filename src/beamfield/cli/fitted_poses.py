@@ -40,7 +40,7 @@ INSTEAD = (
     "map is right, or give poses from elsewhere with --poses."
 )
 # What refutes a log's own poses.
-REFUTED = ("map-disagrees", "map-disagrees-in-part", "reference-slides", "reference-stands-still")
+REFUTED = ("map-disagrees", "map-disagrees-in-part", "map-out-of-date", "reference-slides", "reference-stands-still")
 
 
 def posed_log(
@@ -91,8 +91,10 @@ def instead_of_own(
 ) -> FittedPoses | None:
     """Return poses to take instead of a log's own, if those are refuted by what was found.
 
-    None if no others can be fitted, or if they are in the same place and nothing is wrong with robot or map.
+    None if no others can be fitted, or if they are in the same place, are refuted as well, and nothing is wrong with
+    robot or map.
     """
+    from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import fit_poses
     from beamfield.localization.own_poses import compare_own_poses
 
@@ -103,12 +105,16 @@ def instead_of_own(
     except BeamfieldError:
         return None
     compared = compare_own_poses(sensor, fitted.fit)
-    wrong = any(one.name in OF_THE_ROBOT for one in fitted.fit.findings) or (
-        fitted.fit.is_beyond_doubt and any(one.name == "map-disagrees" for one in found)
-    )
-    if compared is None or not (compared.name == "own-poses-lost" or wrong):
+    if compared is None:
         return None
-    return replace(fitted, instead_of=compared)
+    is_better = (
+        compared.name == "own-poses-lost"
+        or any(one.name in OF_THE_ROBOT for one in fitted.fit.findings)
+        or (fitted.fit.is_beyond_doubt and any(one.name == "map-disagrees" for one in found))
+        # A filter's poses may lie just so far off that the map seems to be what is wrong.
+        or (fitted.fit.is_beyond_doubt and not any(one.name in REFUTED for one in pose_findings(fitted.log, grid)))
+    )
+    return replace(fitted, instead_of=compared) if is_better else None
 
 
 def with_map_judged(findings: tuple[Finding, ...], fitted: FittedPoses) -> tuple[Finding, ...]:

@@ -68,7 +68,8 @@ def posed_log(
         better = instead_of_own(sensor, grid, found, progress)
         if better is not None:
             return better.log, better, better.findings()
-    return sensor, None, (*found, *robot_in_sight(sensor))
+    # Beams that see the robot disagree with any map.
+    return sensor, None, (*robot_in_sight(sensor), *found)
 
 
 def posed_as_asked(

@@ -20,6 +20,7 @@ LEAST, TIMES = 0.25, 2.5
 # the median passes. At poses that left the robot for good halfway it is 1.5 or less, and the median may pass.
 LOWER, TIMES_OF_LOWER = 0.25, 1.75
 BESIDE, DIRECTIONS = (0.5, 1.0, 2.0), 8
+CAUSES = "The map is out of date, or most readings are of people or go through glass."
 
 
 def find_outdated_map(
@@ -44,7 +45,7 @@ def find_outdated_map(
         return None
     return _finding(
         f"{_share(agrees)}, and {int(100.0 * beside)}% at most would {BESIDE[0]:g} to {BESIDE[-1]:g} m away: the poses "
-        "are right, the map is out of date.",
+        f"are right. {CAUSES}",
         {"median_agreement": agrees, "agreement_beside": float(beside)},
     )
 
@@ -54,8 +55,7 @@ def outdated_at_right_poses(agrees: float) -> Finding | None:
     if not LEAST <= agrees < LEAST_AGREEMENT:
         return None
     return _finding(
-        f"{_share(agrees)} at the only poses that fit the whole drive: the map is out of date, or most readings are of "
-        "people.",
+        f"{_share(agrees)} at the only poses that fit the whole drive. {CAUSES}",
         {"median_agreement": agrees},
     )
 
@@ -75,7 +75,7 @@ def _finding(text: str, values: dict[str, float]) -> Finding:
         values,
         why="What was moved since misleads a robot sooner or later; a calibration takes it for noise of the sensor, as "
         "a filter in this map should.",
-        do="Map the place anew.",
+        do="Map the place anew, unless it is people or glass: beamfield check shows what is where.",
     )
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from beamfield.calibration import reference_checks
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.cli.fitted_poses import REFUTED, fit_in_map, instead_of_own, posed_log, with_map_judged
+from beamfield.cli.fitted_poses import IN_DOUBT, REFUTED, fit_in_map, instead_of_own, posed_log, with_map_judged
 from beamfield.cli.main import main
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import BeamfieldError, FormatError, TrajectoryNotFoundError
@@ -370,33 +370,40 @@ def named(name: str) -> Finding:
 
 
 @pytest.mark.parametrize(
-    "refuted_by", ["reference-slides", "map-disagrees-in-part", "map-out-of-date", "map-disagrees"]
+    "doubted_by",
+    ["reference-slides", "map-disagrees-in-part", "map-out-of-date", "map-disagrees", "odometry-disagrees"],
 )
+@pytest.mark.parametrize("fault", ["laser-mount", "scan-parts-disagree"])
 def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_robot_or_map(
-    world: Path, monkeypatch, refuted_by: str
+    world: Path, monkeypatch, doubted_by: str, fault: str
 ):
     sensor, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
-    found = (named(refuted_by),)
-    # These refute the fitted poses, too; but poses that fit the whole drive show that the map is what is wrong.
+    found = (named(doubted_by),)
+    # The fitted poses are in doubt, too; but poses that fit the whole drive show that the map is what is wrong.
     monkeypatch.setattr(reference_checks, "pose_findings", lambda *_: found)
-    unless = "own-poses-agree" if refuted_by == "map-disagrees" else None
-    for faults, expected in (((), unless), ((named("laser-mount"),), "own-poses-agree")):
+    unless = "own-poses-agree" if doubted_by == "map-disagrees" else None
+    for faults, expected in (((), unless), ((named(fault),), "own-poses-agree")):
         fit = replace(fit_of(world), findings=faults)
         monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda *_, fit=fit, **__: fit)
         better = instead_of_own(sensor, grid, found, StageProgress(quiet=True))
         assert (better and better.instead_of.name) == expected
-    assert "laser-mount" in [one.name for one in better.findings()]
+    assert fault in [one.name for one in better.findings()]
     assert instead_of_own(sensor, grid, (named("pose-in-wall"),), StageProgress(quiet=True)) is None
 
 
 @pytest.mark.usefixtures("fitted_once")
-def test_a_right_map_is_not_blamed_for_own_poses_that_lie_a_little_off(world: Path):
+@pytest.mark.parametrize("turn_scale", [1.0, 2.0])
+def test_a_right_map_is_not_blamed_for_own_poses_that_lie_a_little_off(world: Path, turn_scale: float):
     log, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
-    off = log.with_poses(log.poses + np.array([0.2, 0.2, np.radians(6.0)]))
+    steps = between(log.odometry[:-1], log.odometry[1:]) * np.array([1.0, 1.0, turn_scale])
+    off = replace(log, poses=log.poses + np.array([0.2, 0.2, np.radians(6.0)]), odometry=chained(np.zeros(3), steps))
     arguments = argparse.Namespace(map=world / "map.yaml")
     _, instead, found = posed_log(off, grid, arguments, StageProgress(quiet=True), world / "log.carmen", None, None)
-    assert any(one.name in REFUTED for one in reference_checks.pose_findings(off, grid))
-    assert instead is not None
+    at_own, at_fitted = (
+        {one.name for one in reference_checks.pose_findings(posed, grid)} & IN_DOUBT for posed in (off, instead.log)
+    )
+    assert at_own - {"odometry-disagrees"}
+    assert at_fitted == ({"odometry-disagrees"} if turn_scale > 1.0 else set())
     assert instead.instead_of.name == "own-poses-agree"
     assert not any(one.name in REFUTED for one in found)
 

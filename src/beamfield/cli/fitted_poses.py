@@ -41,6 +41,10 @@ INSTEAD = (
 )
 # What refutes a log's own poses.
 REFUTED = ("map-disagrees", "map-disagrees-in-part", "map-out-of-date", "reference-slides", "reference-stands-still")
+# What may be the fault of poses that lie a little off, or of a laser or a clock that moved them.
+IN_DOUBT = {*REFUTED, "odometry-disagrees"}
+# At a filter's poses all of these look like something else.
+NAMED_AT_FITTED_POSES = {*OF_THE_ROBOT, "scan-parts-disagree"}
 
 
 def posed_log(
@@ -90,16 +94,17 @@ def has_poses(sensor: SensorLog, start: Start) -> bool:
 def instead_of_own(
     sensor: SensorLog, grid: OccupancyGrid, found: tuple[Finding, ...], progress: StageProgress
 ) -> FittedPoses | None:
-    """Return poses to take instead of a log's own, if those are refuted by what was found.
+    """Return poses to take instead of a log's own, if those are in doubt by what was found.
 
-    None if no others can be fitted, or if they are in the same place, are refuted as well, and nothing is wrong with
-    robot or map.
+    None if no others can be fitted, or if they are in the same place, as much in doubt, and nothing is wrong with robot
+    or map.
     """
     from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import fit_poses
     from beamfield.localization.own_poses import compare_own_poses
 
-    if not any(one.name in REFUTED for one in found) or not sensor.has_odometry or sensor.finder.opening_angle > 0.0:
+    doubts = {one.name for one in found} & IN_DOUBT
+    if not doubts or not sensor.has_odometry or sensor.finder.opening_angle > 0.0:
         return None
     try:
         fitted = fit_poses(sensor, grid, progress=progress)
@@ -110,10 +115,10 @@ def instead_of_own(
         return None
     is_better = (
         compared.name == "own-poses-lost"
-        or any(one.name in OF_THE_ROBOT for one in fitted.fit.findings)
-        or (fitted.fit.is_beyond_doubt and any(one.name == "map-disagrees" for one in found))
-        # A filter's poses may lie just so far off that the map seems to be what is wrong.
-        or (fitted.fit.is_beyond_doubt and not any(one.name in REFUTED for one in pose_findings(fitted.log, grid)))
+        or any(one.name in NAMED_AT_FITTED_POSES for one in fitted.fit.findings)
+        or (fitted.fit.is_beyond_doubt and "map-disagrees" in doubts)
+        # A filter's poses may lie just so far off that the map or the odometry seems to be what is wrong.
+        or (fitted.fit.is_beyond_doubt and {one.name for one in pose_findings(fitted.log, grid)} & IN_DOUBT < doubts)
     )
     return replace(fitted, instead_of=compared) if is_better else None
 

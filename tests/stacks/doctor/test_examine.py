@@ -558,6 +558,12 @@ def test_a_range_limit_that_hides_readings_comes_before_the_few_beams_that_it_le
     assert names.index("range-limit-hides-readings") < names.index("few-usable-beams")
 
 
+@pytest.mark.parametrize(("noise", "severity"), [(0.4, "info"), (0.9, "warning")])
+def test_motion_noise_that_is_wider_than_the_way_is_a_warning(tmp_path, noise: float, severity: str):
+    found = examine(amcl(tmp_path, **alphas(noise)), log=noisy_drive())
+    assert [one.severity for one in found if one.name == "motion-noise-wide"] == [severity]
+
+
 def test_what_makes_the_weights_flat_comes_before_the_flat_weights(tmp_path):
     found = examine(amcl(tmp_path, laser_max_range=0.5, max_beams=30), grid=room(), log=scans(poses=MIDDLE))
     names = [item.name for item in found if item.severity == "warning"]

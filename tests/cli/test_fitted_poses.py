@@ -147,7 +147,7 @@ def test_check_of_a_log_whose_robot_was_lost_says_where_and_judges_its_own_poses
     said = capsys.readouterr()
     assert "warning: The log's own poses leave the fitted ones" in said.err
     page = (tmp_path / "out" / "scan_fit.html").read_text()
-    assert "parameters on this log: beamfield doctor, then beamfield evaluate</p>" in page
+    assert "parameters on this log: beamfield doctor, then beamfield calibrate --stack</p>" in page
     document = json.loads((tmp_path / "out" / "scan_fit.json").read_text())
     (finding,) = [one for one in document["fitted_poses"]["findings"] if one["name"] == "own-poses-lost"]
     assert finding["values"]["first_s"] == pytest.approx(20.0 + 0.25 * 10, abs=1.5)

@@ -31,6 +31,7 @@ from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog
+from beamfield.stacks.doctor import map_checks
 from tests.cli.simulated import on_map, simulated
 
 LONE = ("--lone-poses", "odometry")
@@ -441,6 +442,19 @@ def test_doctor_names_the_robots_fault_first_and_does_not_blame_the_motion_noise
         said = capsys.readouterr().out
         assert ("motion-noise-wide" in said) == is_judged
     assert said.index("warning: odometry-sign") < said.index("warning: few-usable-beams")
+
+
+@pytest.mark.parametrize(("fault", "is_judged"), [("kidnapped", True), ("map-out-of-date", False)])
+def test_doctor_does_not_call_a_map_another_that_is_known_to_be_out_of_date(
+    world: Path, lost: str, tmp_path: Path, monkeypatch, capsys, fault: str, is_judged: bool
+):
+    fit = replace(fit_of(world), findings=(named(fault),))
+    monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda *_, **__: fit)
+    monkeypatch.setattr(map_checks, "map_findings", lambda *_: [named("map-disagrees")])
+    main(["doctor", str(nav2_file(tmp_path)), "--map", str(world / "map.yaml"), "--log", str(world / lost)])
+    said = capsys.readouterr().out
+    assert f"warning: {fault}" in said
+    assert ("warning: map-disagrees" in said) == is_judged
 
 
 def test_doctor_tests_nothing_at_poses_that_the_map_refutes(world: Path, tmp_path: Path, monkeypatch, capsys):

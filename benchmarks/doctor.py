@@ -56,7 +56,7 @@ def main() -> None:
         ("", "nav2 prob, sigma_hit 0.2, limit 2",
          model("nav2", prob, fine, **{**CHAPTER, "sigma_hit": 0.2}), log),
         ("no-random-readings", "nav2 prob, z_rand 0", model("nav2", prob, fine, **{**CHAPTER, "z_rand": 0.0}), log),
-        ("few-usable-beams", "nav2 prob, 6 beams", model("nav2", prob, fine, **{**CHAPTER, "max_beams": 6}), log),
+        ("few-usable-beams", "nav2 prob, 4 beams", model("nav2", prob, fine, **{**CHAPTER, "max_beams": 4}), log),
         ("many-beams-in-product", "nav2 prob, 360 beams",
          model("nav2", prob, fine, **{**CHAPTER, "max_beams": 360}), log),
         ("map-yaw-ignored", "nav2 prob, origin turned by 2 degrees",

@@ -13,8 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from beamfield.calibration import reference_checks
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.cli.fitted_poses import fit_in_map, instead_of_own, posed_log, with_map_judged
+from beamfield.cli.fitted_poses import IN_DOUBT, REFUTED, fit_in_map, instead_of_own, posed_log, with_map_judged
 from beamfield.cli.main import main
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import BeamfieldError, FormatError, TrajectoryNotFoundError
@@ -30,6 +31,7 @@ from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog
+from beamfield.stacks.doctor import map_checks
 from tests.cli.simulated import on_map, simulated
 
 LONE = ("--lone-poses", "odometry")
@@ -146,7 +148,7 @@ def test_check_of_a_log_whose_robot_was_lost_says_where_and_judges_its_own_poses
     said = capsys.readouterr()
     assert "warning: The log's own poses leave the fitted ones" in said.err
     page = (tmp_path / "out" / "scan_fit.html").read_text()
-    assert "parameters on this log: beamfield doctor, then beamfield evaluate</p>" in page
+    assert "parameters on this log: beamfield doctor, then beamfield calibrate --stack</p>" in page
     document = json.loads((tmp_path / "out" / "scan_fit.json").read_text())
     (finding,) = [one for one in document["fitted_poses"]["findings"] if one["name"] == "own-poses-lost"]
     assert finding["values"]["first_s"] == pytest.approx(20.0 + 0.25 * 10, abs=1.5)
@@ -368,21 +370,43 @@ def named(name: str) -> Finding:
     return Finding(name, "warning", f"{name}.", do="Mend it.")
 
 
-@pytest.mark.parametrize("refuted_by", ["reference-slides", "map-disagrees-in-part", "map-disagrees"])
+@pytest.mark.parametrize(
+    "doubted_by",
+    ["reference-slides", "map-disagrees-in-part", "map-out-of-date", "map-disagrees", "odometry-disagrees"],
+)
+@pytest.mark.parametrize("fault", ["laser-mount", "scan-parts-disagree"])
 def test_own_poses_give_way_where_the_fitted_ones_show_what_is_wrong_with_robot_or_map(
-    world: Path, monkeypatch, refuted_by: str
+    world: Path, monkeypatch, doubted_by: str, fault: str
 ):
     sensor, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
-    found = (named(refuted_by),)
-    # Poses that fit the whole drive show that the map is what is wrong.
-    unless = "own-poses-agree" if refuted_by == "map-disagrees" else None
-    for faults, expected in (((), unless), ((named("laser-mount"),), "own-poses-agree")):
+    found = (named(doubted_by),)
+    # The fitted poses are in doubt, too; but poses that fit the whole drive show that the map is what is wrong.
+    monkeypatch.setattr(reference_checks, "pose_findings", lambda *_: found)
+    unless = "own-poses-agree" if doubted_by == "map-disagrees" else None
+    for faults, expected in (((), unless), ((named(fault),), "own-poses-agree")):
         fit = replace(fit_of(world), findings=faults)
         monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda *_, fit=fit, **__: fit)
         better = instead_of_own(sensor, grid, found, StageProgress(quiet=True))
         assert (better and better.instead_of.name) == expected
-    assert "laser-mount" in [one.name for one in better.findings()]
+    assert fault in [one.name for one in better.findings()]
     assert instead_of_own(sensor, grid, (named("pose-in-wall"),), StageProgress(quiet=True)) is None
+
+
+@pytest.mark.usefixtures("fitted_once")
+@pytest.mark.parametrize("turn_scale", [1.0, 2.0])
+def test_a_right_map_is_not_blamed_for_own_poses_that_lie_a_little_off(world: Path, turn_scale: float):
+    log, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
+    steps = between(log.odometry[:-1], log.odometry[1:]) * np.array([1.0, 1.0, turn_scale])
+    off = replace(log, poses=log.poses + np.array([0.2, 0.2, np.radians(6.0)]), odometry=chained(np.zeros(3), steps))
+    arguments = argparse.Namespace(map=world / "map.yaml")
+    _, instead, found = posed_log(off, grid, arguments, StageProgress(quiet=True), world / "log.carmen", None, None)
+    at_own, at_fitted = (
+        {one.name for one in reference_checks.pose_findings(posed, grid)} & IN_DOUBT for posed in (off, instead.log)
+    )
+    assert at_own - {"odometry-disagrees"}
+    assert at_fitted == ({"odometry-disagrees"} if turn_scale > 1.0 else set())
+    assert instead.instead_of.name == "own-poses-agree"
+    assert not any(one.name in REFUTED for one in found)
 
 
 def test_fitted_poses_that_slide_are_not_answered_with_the_advice_to_fit_some():
@@ -418,6 +442,19 @@ def test_doctor_names_the_robots_fault_first_and_does_not_blame_the_motion_noise
         said = capsys.readouterr().out
         assert ("motion-noise-wide" in said) == is_judged
     assert said.index("warning: odometry-sign") < said.index("warning: few-usable-beams")
+
+
+@pytest.mark.parametrize(("fault", "is_judged"), [("kidnapped", True), ("map-out-of-date", False)])
+def test_doctor_does_not_call_a_map_another_that_is_known_to_be_out_of_date(
+    world: Path, lost: str, tmp_path: Path, monkeypatch, capsys, fault: str, is_judged: bool
+):
+    fit = replace(fit_of(world), findings=(named(fault),))
+    monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda *_, **__: fit)
+    monkeypatch.setattr(map_checks, "map_findings", lambda *_: [named("map-disagrees")])
+    main(["doctor", str(nav2_file(tmp_path)), "--map", str(world / "map.yaml"), "--log", str(world / lost)])
+    said = capsys.readouterr().out
+    assert f"warning: {fault}" in said
+    assert ("warning: map-disagrees" in said) == is_judged
 
 
 def test_doctor_tests_nothing_at_poses_that_the_map_refutes(world: Path, tmp_path: Path, monkeypatch, capsys):

@@ -80,6 +80,14 @@ def test_a_right_mount_a_small_error_and_one_like_reversed_odometry_are_not_name
     assert mount_of_fit(log, log.poses) is None
 
 
+def test_to_the_side_a_smaller_error_is_named_than_ahead_where_late_stamps_look_alike(tour: SensorLog):
+    beside, ahead = mounted(tour, (0.3, -0.05, 15.0)), mounted(tour, (0.15, 0.1, 15.0))
+    found = mount_of_fit(beside, beside.poses)
+    assert found is not None
+    assert found.values["left_m"] == pytest.approx(0.15, abs=0.02)
+    assert mount_of_fit(ahead, ahead.poses) is None
+
+
 @pytest.mark.parametrize("drift", [-0.13, 0.13])
 def test_odometry_that_drifts_does_not_turn_the_laser(tour: SensorLog, drift: float):
     # Radians per metre: wheels that differ by 2%, 0.16 m apart.

@@ -80,14 +80,19 @@ def test_a_robot_that_hardly_turned_tells_nothing():
 
 
 @pytest.mark.parametrize(
-    ("share", "said"),
-    [(0.0, "hardly turns"), (0.5, "turns 0.5 times as far"), (-1.0, "the other way"), (1.0, "")],
+    ("share", "said", "advised"),
+    [
+        (0.0, "hardly turns", "encoders"),
+        (0.5, "turns 0.5 times as far", "encoders"),
+        (-1.0, "the other way", "upside down"),
+        (1.0, "", ""),
+    ],
 )
-def test_odometry_that_turns_far_too_little_or_too_much_is_named_without_poses(share, said, drive: SensorLog):
+def test_odometry_that_turns_far_too_little_or_too_much_is_named_without_poses(share, said, advised, drive: SensorLog):
     log = drive.select(np.arange(120))
     steps = between(log.odometry[:-1], log.odometry[1:]) * [1.0, 1.0, share]
     found = turns_of_scans(replace(log, odometry=chained(log.odometry[0], steps)))
-    assert (said in found.text) if said else found is None
+    assert (said in found.text and advised in found.do) if said else found is None
 
 
 @pytest.mark.parametrize(

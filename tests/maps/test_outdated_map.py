@@ -25,6 +25,14 @@ def test_where_as_many_agree_beside_the_poses_they_are_not_known_to_be_right():
     assert find_outdated_map(drive(grid, 25), grid, POSES) is None
 
 
+def test_poses_that_left_the_robot_halfway_are_not_right():
+    grid, log = hall(), drive(hall(), 25)
+    lost = log.poses.copy()
+    lost[8:] += np.array([1.5, -1.0, 0.5])
+    assert find_outdated_map(log, grid, log.poses) is not None
+    assert find_outdated_map(log, grid, lost) is None
+
+
 def test_poses_that_nobody_knows_show_nothing():
     assert find_outdated_map(drive(hall(), 25), hall(), np.full_like(POSES, np.nan)) is None
 

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 # What is said of the motion noise is said of the fault where the odometry, the laser's mount or a clock is wrong.
 MOTION_NOISE = ("motion-noise-narrow", "motion-noise-wide")
+# At fitted poses these say why readings disagree with the map.
+WHY_THE_MAP_DISAGREES = {"map-out-of-date", "scan-parts-disagree"}
 # A fault of some builds of nav2, which files do not tell apart.
 ONLY_IF_LOST = "distance-queue-uninitialised"
 
@@ -100,6 +102,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         hidden.add(ONLY_IF_LOST)
     if hidden & set(OF_THE_ROBOT):
         hidden.update(MOTION_NOISE)
+    if hidden & WHY_THE_MAP_DISAGREES:
+        hidden.update(("map-disagrees", "map-disagrees-in-part"))
     # The robot's own faults come first: no value of a parameter mends them.
     found = worst_first((*of_poses, *(item for item in found if item.name not in hidden)))
     code = 1 if any(item.severity != "info" for item in found) else 0

@@ -40,7 +40,11 @@ INSTEAD = (
     "map is right, or give poses from elsewhere with --poses."
 )
 # What refutes a log's own poses.
-REFUTED = ("map-disagrees", "map-disagrees-in-part", "reference-slides", "reference-stands-still")
+REFUTED = ("map-disagrees", "map-disagrees-in-part", "map-out-of-date", "reference-slides", "reference-stands-still")
+# What may be the fault of poses that lie a little off, or of a laser or a clock that moved them.
+IN_DOUBT = {*REFUTED, "odometry-disagrees"}
+# At a filter's poses all of these look like something else.
+NAMED_AT_FITTED_POSES = {*OF_THE_ROBOT, "scan-parts-disagree"}
 
 
 def posed_log(
@@ -68,7 +72,8 @@ def posed_log(
         better = instead_of_own(sensor, grid, found, progress)
         if better is not None:
             return better.log, better, better.findings()
-    return sensor, None, (*found, *robot_in_sight(sensor))
+    # Beams that see the robot disagree with any map.
+    return sensor, None, (*robot_in_sight(sensor), *found)
 
 
 def posed_as_asked(
@@ -89,26 +94,33 @@ def has_poses(sensor: SensorLog, start: Start) -> bool:
 def instead_of_own(
     sensor: SensorLog, grid: OccupancyGrid, found: tuple[Finding, ...], progress: StageProgress
 ) -> FittedPoses | None:
-    """Return poses to take instead of a log's own, if those are refuted by what was found.
+    """Return poses to take instead of a log's own, if those are in doubt by what was found.
 
-    None if no others can be fitted, or if they are in the same place and nothing is wrong with robot or map.
+    None if no others can be fitted, or if they are in the same place, as much in doubt, and nothing is wrong with robot
+    or map.
     """
+    from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import fit_poses
     from beamfield.localization.own_poses import compare_own_poses
 
-    if not any(one.name in REFUTED for one in found) or not sensor.has_odometry or sensor.finder.opening_angle > 0.0:
+    doubts = {one.name for one in found} & IN_DOUBT
+    if not doubts or not sensor.has_odometry or sensor.finder.opening_angle > 0.0:
         return None
     try:
         fitted = fit_poses(sensor, grid, progress=progress)
     except BeamfieldError:
         return None
     compared = compare_own_poses(sensor, fitted.fit)
-    wrong = any(one.name in OF_THE_ROBOT for one in fitted.fit.findings) or (
-        fitted.fit.is_beyond_doubt and any(one.name == "map-disagrees" for one in found)
-    )
-    if compared is None or not (compared.name == "own-poses-lost" or wrong):
+    if compared is None:
         return None
-    return replace(fitted, instead_of=compared)
+    is_better = (
+        compared.name == "own-poses-lost"
+        or any(one.name in NAMED_AT_FITTED_POSES for one in fitted.fit.findings)
+        or (fitted.fit.is_beyond_doubt and "map-disagrees" in doubts)
+        # A filter's poses may lie just so far off that the map or the odometry seems to be what is wrong.
+        or (fitted.fit.is_beyond_doubt and {one.name for one in pose_findings(fitted.log, grid)} & IN_DOUBT < doubts)
+    )
+    return replace(fitted, instead_of=compared) if is_better else None
 
 
 def with_map_judged(findings: tuple[Finding, ...], fitted: FittedPoses) -> tuple[Finding, ...]:

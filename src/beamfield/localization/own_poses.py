@@ -50,7 +50,7 @@ def compare_own_poses(log: SensorLog, fit: TrajectoryFit) -> Finding | None:
             f"({x:.2f} m, {y:.2f} m)"
         )
         why = "What localised the robot was lost there, or its poses are of another map's frame."
-        do = "Try the filter's parameters on this log: beamfield doctor, then beamfield evaluate."
+        do = "Try the filter's parameters on this log: beamfield doctor, then beamfield calibrate --stack."
     return Finding(
         "own-poses-lost",
         "warning",

@@ -36,8 +36,8 @@ MOST_PAIRS, FEWEST_PAIRS, BEAMS, APART, LONGEST = 300, 30, 180, 0.15, 0.35
 NOISE, LEAST_ALIGNED = 0.03, 1.0
 # Shares of the true turns that are right, or are named with a trajectory, and what else than a wrong share may be left
 # of the squares of the turns. On six real logs the shares are 0.92 to 1.02; with half as many hits as short readings,
-# with which alignments fall short, 1.2.
-RIGHT, LEFT = (0.6, 1.6), 0.25
+# with which alignments fall short, 1.2. Below the last share the odometry hardly turns, in either direction.
+RIGHT, LEFT, HARDLY = (0.6, 1.6), 0.25, 0.2
 
 
 class TurnErrors(NamedTuple):
@@ -154,12 +154,21 @@ def turns_of_scans(log: SensorLog) -> Finding | None:
     left = float(np.sum((said - share * turned) ** 2) / (turned @ turned))
     if RIGHT[0] <= share <= RIGHT[1] or left > LEFT * max(1.0, share**2):
         return None
-    seen = f"turns {share:.1f} times as far" if share > 0.0 else "turns the other way (or the scans are mirrored)"
+    seen = f"turns {share:.1f} times as far" if share > 0.0 else "turns the other way, or the scans are mirrored"
+    if share <= -HARDLY:
+        do = (
+            "Stand beside the robot and look at the scan in rviz: if left and right are swapped, the laser is upside "
+            "down, and its transform lacks the roll of 180 degrees; if not, the odometry's turns have the wrong sign."
+        )
+    else:
+        do = (
+            "Turn the robot on the spot, and see whether /odom turns as far: if not, the distance between the wheels, "
+            "the encoders, a gyro's scale, or what robot_localization takes of each (yaw, yaw rate) is wrong."
+        )
     return Finding(
         "odometry-turn-scale", "warning",
-        f"Where the scans turn against each other, the odometry {'hardly turns' if abs(share) < 0.2 else seen}.",
+        f"Where the scans turn against each other, the odometry {'hardly turns' if abs(share) < HARDLY else seen}.",
         {"scale": share - 1.0},
         why="In rviz the scans turn with the robot, where they should stand still, and any filter loses it in turns.",
-        do="Turn the robot on the spot, and see whether /odom turns as far: if not, the distance between the wheels, "
-        "the encoders, a gyro's scale, or what robot_localization takes of each (yaw, yaw rate) is wrong.",
+        do=do,
     )  # fmt: skip

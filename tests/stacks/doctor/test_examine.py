@@ -352,6 +352,9 @@ FINDINGS = {
                          {"max_beams": 60}, {"log": scans(some(np.inf, 0.4))}),
     "few-usable-beams by NaN in Beluga": ({"stack": "beluga", "max_beams": 30}, {"log": scans(some(np.nan, 0.7))},
                                           {"stack": "beluga", "max_beams": 90}, {"log": scans(some(np.nan, 0.7))}),
+    "few-usable-beams in a product": ({"laser_model_type": "likelihood_field_prob", "max_beams": 5}, {"log": scans()},
+                                      {"laser_model_type": "likelihood_field_prob", "max_beams": 9}, {"log": scans()}),
+    "few-usable-beams in a sum": ({"max_beams": 9}, {"log": scans()}, {"max_beams": 30}, {"log": scans()}),
     "many-beams-in-product": ({"laser_model_type": "likelihood_field_prob", "max_beams": 60}, {},
                               {"laser_model_type": "likelihood_field_prob", "max_beams": 12}, {}),
     "range-limit-above-sensor": ({"stack": "beluga", "laser_max_range": 100.0}, {"log": scans()},
@@ -553,6 +556,18 @@ def test_a_range_limit_that_hides_readings_comes_before_the_few_beams_that_it_le
         item.name for item in examine(amcl(tmp_path, laser_max_range=2.0, max_beams=30), log=scans(some(1.0, 0.1)))
     ]
     assert names.index("range-limit-hides-readings") < names.index("few-usable-beams")
+
+
+@pytest.mark.parametrize(("noise", "severity"), [(0.4, "info"), (0.9, "warning")])
+def test_motion_noise_that_is_wider_than_the_way_is_a_warning(tmp_path, noise: float, severity: str):
+    found = examine(amcl(tmp_path, **alphas(noise)), log=noisy_drive())
+    assert [one.severity for one in found if one.name == "motion-noise-wide"] == [severity]
+
+
+def test_what_makes_the_weights_flat_comes_before_the_flat_weights(tmp_path):
+    found = examine(amcl(tmp_path, laser_max_range=0.5, max_beams=30), grid=room(), log=scans(poses=MIDDLE))
+    names = [item.name for item in found if item.severity == "warning"]
+    assert names.index("range-limit-hides-readings") < names.index("nearly-flat")
 
 
 def test_an_infinite_longest_range_is_the_sensors_own_in_amcl_only(tmp_path):

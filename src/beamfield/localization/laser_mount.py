@@ -21,7 +21,7 @@ BEAMS, MOST_PAIRS, LONGEST_STEP = 180, 200, 1.0
 # Fewer motions say nothing. So many parts are left out in turn for the standard errors.
 FEWEST, PARTS = 20, 10
 # From here on a mount is named: radians, metres, and seconds times the usual speed along that axis, as stamps that are
-# late by so much put the laser back by that; and standard errors. To the left it is off by 0.025 m at most on five real
+# late by so much put the laser back by that; and standard errors. To the left it is off by 0.025 m at most on four real
 # logs and eight simulated ones of very worn wheels.
 LEAST_TURN, LEAST_OFFSET, UNNAMED_DELAY, SIGMAS = math.radians(3.0), 0.1, 0.15, 4.0
 # Alignments are less exact, above all of scans that see little to the sides; a smaller error hides no trajectory.

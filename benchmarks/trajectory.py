@@ -1,6 +1,6 @@
 """Fit trajectories to logs, and compare with exact truth (simulations) or with references (real logs).
 
-Run: python benchmarks/trajectory.py [simulated|real|halves|wheels|all] [FOLDER WITH DATA]
+Run: python benchmarks/trajectory.py [simulated|real|halves|wheels|crowds|all] [FOLDER WITH DATA]
 
 - Simulations have exact truth: offices, a corridor 60 m long without ends in sight, and a Pioneer's sensor in the map
   that the real Stage log was recorded in. Odometry drifts with the noise of `OdometryNoise`.
@@ -10,6 +10,8 @@ Run: python benchmarks/trajectory.py [simulated|real|halves|wheels|all] [FOLDER 
 - "halves" fits the poses of the real logs by every other beam, as ``beamfield calibrate`` does for a log without poses.
 - "wheels" fits the real logs, three simulated offices, and intel in a map of its own, with odometry that is wrong
   throughout: in its distances, in its turns, or turning per metre. Half a metre off is wrong.
+
+- "crowds" fits the same logs but intel with people drawn around the robot, who go with it; two crowds of each size.
 
 "in 95%" is the share of scans whose true position lies in the ellipse; "NEES" the mean square of its error in standard
 deviations, per axis: 1 if the ellipses are right, less if they are too large. "seconds" are the process's own.
@@ -42,6 +44,7 @@ from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import drawn_readings, simulate_log
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
+from crowd import with_crowd
 from fitted_poses import walls_moved
 from followed_logs import offices
 from half_maps import LOGS as MAPLESS
@@ -51,6 +54,7 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 CHI_SQUARE_95 = 5.991
 # Metres that a pose of a course that was found may be off.
 RIGHT = 0.5
+PEOPLE_ABOUT = (0, 4, 10, 20, 40)
 SENSOR = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
 PEOPLE = BeamParameters(0.55, 0.30, 0.05, 0.10, 0.05, 0.4)
 FINE = BeamParameters(0.85, 0.06, 0.03, 0.06, 0.015, 0.6)
@@ -62,8 +66,8 @@ def main(which: str, data: Path) -> None:
     if which == "halves":
         print_table([halved(*case) for case in real(data)], digits=3)
         return
-    if which == "wheels":
-        wheels(data)
+    if which in ("wheels", "crowds"):
+        {"wheels": wheels, "crowds": crowds}[which](data)
         return
     cases = {"simulated": simulated, "real": real}
     for name in cases if which == "all" else (which,):
@@ -98,30 +102,52 @@ def halved(name: str, log: SensorLog, grid: OccupancyGrid) -> dict[str, Any]:
 
 def wheels(data: Path) -> None:
     """Print how many logs are found, by how wrong their odometry is."""
-    cases = [case for case in real(data) if "larger" not in case[0]]
-    cases += [(name, log, grid) for name, (log, grid) in offices().items()]
+    cases = followed(data)
     intel = MAPLESS["intel"](data)
     cases.append(("intel", intel, build_map(intel)))
     rows = []
     for wrong in WRONG_WHEELS:
-        outcomes: dict[str, list[str]] = {"found": [], "wrong": [], "refused": []}
-        largest = 0.0
-        for name, log, grid in cases:
-            try:
-                fit = fit_trajectory(replace(log, odometry=wrong.applied_to(log.odometry)), grid)
-            except TrajectoryNotFoundError:
-                outcomes["refused"].append(name)
-                continue
-            off = float(np.nanmax(np.hypot(*(fit.poses - log.poses)[fit.trusted, :2].T)))
-            outcomes["found" if off <= RIGHT else "wrong"].append(name)
-            largest = max(largest, off)
-        rows.append({
-            "distances": wrong.distance, "turns": wrong.turn, "deg per metre": wrong.degrees_per_metre,
-            "found": len(outcomes["found"]), "largest error m": largest,
-            "wrong": ", ".join(outcomes["wrong"]) or "-", "refused": ", ".join(outcomes["refused"]) or "-",
-        })  # fmt: skip
+        bent = [(name, replace(log, odometry=wrong.applied_to(log.odometry)), grid) for name, log, grid in cases]
+        rows.append({"distances": wrong.distance, "turns": wrong.turn, "deg per metre": wrong.degrees_per_metre}
+                    | outcomes(bent))  # fmt: skip
         print(rows[-1], file=sys.stderr)
     print_table(rows, digits=3)
+
+
+def crowds(data: Path) -> None:
+    """Print how many logs are found, by how many people go with the robot."""
+    rows = []
+    for n_people in PEOPLE_ABOUT:
+        drawn = [
+            (name, *with_crowd(log, n_people, seed), grid) for name, log, grid in followed(data) for seed in (0, 1)
+        ]
+        rows.append({"people": n_people, "hidden": float(np.mean([share for _, _, share, _ in drawn]))}
+                    | outcomes([(name, log, grid) for name, log, _, grid in drawn]))  # fmt: skip
+        print(rows[-1], file=sys.stderr)
+    print_table(rows, digits=3)
+
+
+def followed(data: Path) -> list[Case]:
+    """Return the real logs, Stage's in its map as it comes, and three simulated offices."""
+    cases = [case for case in real(data) if "larger" not in case[0]]
+    return cases + [(name, log, grid) for name, (log, grid) in offices().items()]
+
+
+def outcomes(cases: list[Case]) -> dict[str, Any]:
+    """Return how many logs are found, the largest error of these, and which are not."""
+    names: dict[str, list[str]] = {"found": [], "wrong": [], "refused": []}
+    largest = 0.0
+    for name, log, grid in cases:
+        try:
+            fit = fit_trajectory(log, grid)
+        except TrajectoryNotFoundError:
+            names["refused"].append(name)
+            continue
+        off = float(np.nanmax(np.hypot(*(fit.poses - log.poses)[fit.trusted, :2].T)))
+        names["found" if off <= RIGHT else "wrong"].append(name)
+        largest = max(largest, off)
+    return {"found": len(names["found"]), "largest error m": largest,
+            "wrong": ", ".join(names["wrong"]) or "-", "refused": ", ".join(names["refused"]) or "-"}  # fmt: skip
 
 
 class WrongWheels(NamedTuple):

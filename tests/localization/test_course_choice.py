@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from beamfield.localization.course_choice import Judged, StartHypothesis, are_alike, standing_out, starts_apart
+from beamfield.localization.course_choice import (
+    Judged,
+    StartHypothesis,
+    are_alike,
+    standing_out,
+    standing_out_with_jumps,
+    starts_apart,
+)
 from beamfield.localization.trajectory_start import Course
 
 START = np.zeros(3)
@@ -29,17 +36,17 @@ def judged(cost: float, agrees: float, n_jumps: int = 0, costs: ArrayLike = (0.0
         ((7.0, 0.44), (7.9, 0.36), LONG, False),
         ((7.0, 0.45), (7.9, 0.38), LONG, False),
         ((7.0, 0.45), (7.8, 0.37), LONG, False),
-        # Of a quarter of the scans, twice as much is asked.
-        ((7.0, 0.55), (8.8, 0.39), SHORT, True),
-        ((7.0, 0.55), (8.7, 0.39), SHORT, False),
-        ((7.0, 0.55), (8.8, 0.40), SHORT, False),
+        # Of a quarter of the scans, almost three times as much is asked.
+        ((7.0, 0.55), (9.6, 0.32), SHORT, True),
+        ((7.0, 0.55), (9.5, 0.32), SHORT, False),
+        ((7.0, 0.55), (9.6, 0.33), SHORT, False),
         # Few agree, since the map is out of date; but far fewer on the other, which costs far more.
         ((12.0, 0.30), (14.5, 0.19), LONG, True),
         ((12.0, 0.30), (14.4, 0.19), LONG, False),
         ((12.0, 0.30), (14.5, 0.21), LONG, False),
-        ((12.0, 0.30), (16.0, 0.13), SHORT, True),
-        ((12.0, 0.30), (15.9, 0.13), SHORT, False),
-        ((12.0, 0.30), (16.0, 0.15), SHORT, False),
+        ((12.0, 0.30), (17.0, 0.09), SHORT, True),
+        ((12.0, 0.30), (16.9, 0.09), SHORT, False),
+        ((12.0, 0.30), (17.0, 0.11), SHORT, False),
     ],
 )
 def test_a_course_is_believed_by_how_it_stands_out_among_others(first, other, n_scans, is_believed):
@@ -55,6 +62,27 @@ def test_one_with_jumps_that_costs_clearly_less_speaks_against_it(first):
         courses = [judged(cost - less, agrees - 0.2, n_jumps=1), steady, other]
         assert standing_out(courses, None, LONG) == ([steady, other] if is_believed else [])
     assert standing_out([judged(cost, agrees, n_jumps=1), judged(cost + 4.0, 0.1, n_jumps=1)], None, LONG) == []
+
+
+# Of a course with jumps, share of agreeing beams, how much more than on the other, and nats less.
+@pytest.mark.parametrize(
+    ("agrees", "more", "less", "n_jumps", "n_scans", "is_believed"),
+    [
+        (0.66, 0.21, 4.1, 1, LONG, True),
+        (0.64, 0.21, 4.1, 1, LONG, False),
+        (0.66, 0.19, 4.1, 1, LONG, False),
+        (0.66, 0.21, 3.9, 1, LONG, False),
+        (0.66, 0.21, 4.1, 0, LONG, False),
+        (0.66, 0.56, 11.4, 1, SHORT, False),
+        (0.66, 0.57, 11.4, 2, SHORT, True),
+    ],
+)
+def test_a_robot_that_was_carried_is_believed_if_its_course_stands_out(
+    agrees, more, less, n_jumps, n_scans, is_believed
+):
+    courses = [judged(5.0, agrees, n_jumps), judged(5.0 + less, agrees - more)]
+    assert standing_out_with_jumps(courses, n_scans) == (courses if is_believed else [])
+    assert standing_out_with_jumps(courses[:1], n_scans) == []
 
 
 def test_the_only_course_needs_a_start_and_beams_that_agree():

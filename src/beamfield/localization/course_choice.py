@@ -41,14 +41,19 @@ MOST_COST = 4.6
 # short, random, or of what the map does not show), and it costs less than any other without jumps (by at most 0.7, and
 # 1.0 and more), and no more than this beyond any with jumps.
 AGREES_MORE, COSTS_LESS, MOST_BEYOND = 0.08, 0.9, 1.0
-# That was in logs of two minutes; means over fewer scans held to the map scatter more. Of 90 logs of 12 s in maps of
-# other buildings one stands out by 0.19 and 1.0 nats.
-MANY_SCANS = 560
+# That was in logs of two minutes; means over fewer scans held to the map scatter more. Of 720 logs of 12 s in maps of
+# other buildings some stand out by 0.44 and 4.7 nats.
+MANY_SCANS, FEW_POWER = 560, 0.75
 # If it stands out by this much, half of its beams need not agree: the map is out of date. In maps of other buildings
-# courses stand out by at most 0.06 and 1.3 nats in logs of two minutes, and 0.17 and 2.2 or 0.09 and 3.4 in those of
-# 12 s; in maps that lack much of an office by at least 0.19 and 5.3 (benchmarks/other_maps.py), or, where most of what
-# stood there was moved, 0.17 and 3.4. Of shorter logs so many times as much is asked at most.
-AGREES_FAR_MORE, COSTS_FAR_LESS, AT_MOST = 0.1, 2.5, 1.6
+# courses stand out by at most 0.06 and 1.3 nats in logs of two minutes, and 0.44 and 4.7 in those of 12 s; in maps that
+# lack much of an office by at least 0.19 and 5.3 (benchmarks/other_maps.py), or, where most of what stood there was
+# moved, 0.17 and 3.4. Of shorter logs so many times as much is asked at most.
+AGREES_FAR_MORE, COSTS_FAR_LESS, AT_MOST = 0.1, 2.5, 2.0
+# With jumps, as of a robot that was carried, a course is right though it costs more if this share of its beams agrees,
+# so much more than on any course without, and it costs so much less. In maps of other buildings courses with jumps
+# agree to 0.53 at most; of robots that were carried, or whose wheels slipped by a metre, 0.75 and more of the beams
+# agree, 0.29 more than on any other, and they cost 6 nats less.
+AGREES_WITH_JUMPS, MORE_WITH_JUMPS, LESS_WITH_JUMPS = 0.65, 0.2, 4.0
 # Odometry is taken to be wrong throughout if a course that learns how costs so many nats less (at most 16 where it is
 # right; where courses that do not learn it are a quarter of a metre off, 18 to 293).
 WRONG_THROUGHOUT = 30.0
@@ -155,7 +160,11 @@ def choose_course(
         judged = search(log, steps, put_right, still=still)
         first = first or tuple(one for one, _ in judged[:2])
         if judged[0][0].misfit > (MOST_COST if len(judged[0][1].jumps) else limit):
-            judged = standing_out(judged, start, len(drive.scans)) or (_steady(judged) if start is not None else [])
+            judged = (
+                standing_out(judged, start, len(drive.scans))
+                or standing_out_with_jumps(judged, len(drive.scans))
+                or (_steady(judged) if start is not None else [])
+            )
         if not judged:
             continue
         hypotheses = tuple(one for one, _ in judged[:2])
@@ -224,7 +233,7 @@ def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -
     jumping = min((one.cost for one, course in others if len(course.jumps)), default=np.inf)
     steady = min((one.cost for one, course in others if not len(course.jumps)), default=np.inf)
     more = best[0].agrees - max((one.agrees for one, _ in others), default=0.0)
-    less, few = steady - best[0].cost, max(1.0, float(np.sqrt(MANY_SCANS / n_scans)))
+    less, few = steady - best[0].cost, _times_as_much(n_scans)
     far = min(few, AT_MOST)
     undoubted = (
         not len(best[1].jumps)
@@ -236,6 +245,25 @@ def standing_out(judged: list[Judged], start: FloatArray | None, n_scans: int) -
         )
     )
     return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
+
+
+def standing_out_with_jumps(judged: list[Judged], n_scans: int) -> list[Judged]:
+    """Return all courses if the first, which has jumps, is beyond doubt though it fits the map poorly, or none."""
+    (best, course), *others = judged
+    few = _times_as_much(n_scans)
+    undoubted = (
+        len(course.jumps) > 0
+        and len(others) > 0
+        and best.agrees >= AGREES_WITH_JUMPS
+        and best.agrees >= max(one.agrees for one, _ in others) + few * MORE_WITH_JUMPS
+        and best.cost <= min(one.cost for one, _ in others) - few * LESS_WITH_JUMPS
+    )
+    return judged if undoubted else []
+
+
+def _times_as_much(n_scans: int) -> float:
+    """Return how many times as much is asked of a log of few scans."""
+    return float(max(1.0, MANY_SCANS / n_scans) ** FEW_POWER)
 
 
 def are_alike(way: FloatArray, best: Judged, other: Judged, start: FloatArray | None) -> bool:

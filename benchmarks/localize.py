@@ -42,6 +42,7 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from crowd import with_crowd
 from followed_logs import (
     BURSTS,
     CROWDED,
@@ -267,6 +268,10 @@ def exponents(folder: Path, seeds: int) -> list[dict[str, Any]]:
     return rows
 
 
+# Who go with the robot, and hide a quarter and half of the readings.
+PEOPLE_ABOUT = (10, 20)
+
+
 def people(folder: Path, seeds: int) -> list[dict[str, Any]]:
     """Return one row per log, model and whether readings of people are left out."""
     office = draw_floor_plan(seed=3)
@@ -274,7 +279,10 @@ def people(folder: Path, seeds: int) -> list[dict[str, Any]]:
     for crowd in CROWDED:
         drive = simulate_log(office, LASER, crowd, duration=120.0, scan_rate=5.0, seed=2, dependence=BURSTS)
         logs[f"simulated, {crowd.z_short:.0%} short"] = drive.only_sensor(), office
-    logs |= {name: read_log_and_map(folder, *paths) for name, paths in LOGS.items()}
+    real = {name: read_log_and_map(folder, *paths) for name, paths in LOGS.items()}
+    logs |= real
+    for n in PEOPLE_ABOUT:
+        logs |= {f"{name}, {n} people": (with_crowd(log, n, 0)[0], grid) for name, (log, grid) in real.items()}
     rows = []
     for name, (log, grid) in logs.items():
         for kind in KINDS:

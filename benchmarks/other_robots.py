@@ -43,6 +43,7 @@ from beamfield.simulation.trajectory import DriveOptions
 from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.registry import STACKS
+from crowd import with_crowd
 from tables import print_table
 
 SEEDS = range(10)
@@ -71,6 +72,8 @@ class Laser:
     stamped_at: float | None = None
     """Where in its sweep, from one scan to the next, a scan is stamped: 0 at the first beam, 0.5 midway; None: all
     beams are measured at once."""
+    people: int = 0
+    """How many go with the robot."""
 
     def drive(self, world: OccupancyGrid, seconds: float, seed: int) -> ScanLog:
         """Return a log with exact poses."""
@@ -85,6 +88,7 @@ class Laser:
         )  # fmt: skip
         log = log if self.slip_deg == 0.0 else slipped(log, np.radians(self.slip_deg))
         log = log if self.stamped_at is None else self.swept(log, world, seed)
+        log = log if self.people == 0 else crowded(log, self.people, seed)
         return turned_right(log) if self.sideways else log
 
     def swept(self, log: ScanLog, world: OccupancyGrid, seed: int) -> ScanLog:
@@ -111,6 +115,12 @@ def slipped(log: ScanLog, turn: float) -> ScanLog:
         log, sensors=dict.fromkeys(log.sensors, replace(sensor, odometry=odometry)),
         odometry=Track(sensor.stamps, odometry),
     )  # fmt: skip
+
+
+def crowded(log: ScanLog, people: int, seed: int) -> ScanLog:
+    """Return a log of a drive in a crowd."""
+    sensor, _ = with_crowd(log.only_sensor(), people, seed)
+    return replace(log, sensors=dict.fromkeys(log.sensors, sensor))
 
 
 def turned_right(log: ScanLog) -> ScanLog:
@@ -167,6 +177,9 @@ OTHERWISE: dict[str, dict[str, Any]] = {
     "wheels three times as worn": {"laser": replace(USUAL, wheels=OdometryNoise(0.06, 0.06, 0.09, 0.06, 0.09))},
     "scans of 0.2 s, stamped at the first beam": {"laser": replace(USUAL, stamped_at=0.0)},
     "scans of 0.2 s, stamped midway": {"laser": replace(USUAL, stamped_at=0.5)},
+    "10 people about the robot": {"laser": replace(USUAL, people=10)},
+    "20 people": {"laser": replace(USUAL, people=20)},
+    "20 people, nav2's likelihood_field_prob": {"laser": replace(USUAL, people=20), "file": File(text=PRODUCT)},
     "moves sideways": {"laser": replace(USUAL, sideways=True), "file": File(text=PRODUCT)},
     "moves sideways, OmniMotionModel": {"laser": replace(USUAL, sideways=True), "file": File(text=PRODUCT + OMNI)},
     "wheels nearly perfect": {"laser": replace(USUAL, wheels=OdometryNoise(0.001, 0.0005, 0.001, 0.0005, 0.0005))},

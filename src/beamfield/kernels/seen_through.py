@@ -17,10 +17,10 @@ Booleans = NDArray[np.bool_]
 @kernel
 def mark_seen_through(
     ranges: Floats, max_range: float, bearings: Floats, beams: Integers, lasers: Floats, way: Floats, turn: Floats,
-    reach: int, most_way: float, most_turn: float, step: int, tolerance: float, tolerance_share: float, width: float,
-    marks: Booleans,
+    judged: Integers, others: Integers, bounds: Integers, most_way: float, most_turn: float, step: int,
+    tolerance: float, tolerance_share: float, width: float, marks: Booleans,
 ) -> None:  # fmt: skip
-    """Mark readings (n, k) whose end points more scans see through than see.
+    """Mark readings of scans whose end points more of their neighbours see through than see.
 
     Parameters
     ----------
@@ -33,8 +33,11 @@ def mark_seen_through(
         (n, 3) where the laser was, in any frame that holds over a short way.
     way, turn
         (n,) metres driven and radians turned until each scan.
-    reach, most_way, most_turn
-        Each is compared with so many scans before and after it, at most, no further away than that, metres and radians.
+    judged, others, bounds
+        (q,) scans whose readings are marked, (m,) scans that they are compared with, and (q, 2) from which to before
+        which of these each is.
+    most_way, most_turn
+        Scans further away are not compared, metres and radians.
     step
         One of so many neighbouring beams speaks for all of them.
     tolerance, tolerance_share
@@ -44,8 +47,9 @@ def mark_seen_through(
     marks
         (n, k), set to True.
     """
-    n, last = len(ranges), len(bearings) - 1
-    for i in range(n):
+    last = len(bearings) - 1
+    for q in range(len(judged)):
+        i = judged[q]
         x, y, heading = lasers[i]
         for b in range(0, len(bearings), step):
             z = ranges[i, beams[b]]
@@ -53,7 +57,8 @@ def mark_seen_through(
                 continue
             end_x, end_y = x + z * math.cos(heading + bearings[b]), y + z * math.sin(heading + bearings[b])
             seen = through = 0
-            for j in range(max(i - reach, 0), min(i + reach + 1, n)):
+            for o in range(bounds[q, 0], bounds[q, 1]):
+                j = others[o]
                 if j == i or abs(way[j] - way[i]) > most_way or abs(turn[j] - turn[i]) > most_turn:
                     continue
                 dx, dy = end_x - lasers[j, 0], end_y - lasers[j, 1]

@@ -14,7 +14,7 @@ from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, chained, wrap_angle
 from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive, mirrored, with_points
-from beamfield.localization.moving_objects import without_moving_objects
+from beamfield.localization.moving_objects import without_crowd
 from beamfield.localization.trajectory_start import (
     Course,
     Followed,
@@ -151,10 +151,11 @@ def choose_course(
     search = partial(_hypotheses, grid=grid, walls=walls, start=start, report=report)
     plain, turned, reversed_, both = ("", drive), *mirrored(drive)
     first: tuple[StartHypothesis, ...] = ()
-    # Scans that turn against the odometry may be what is mirrored; only the map tells. By odometry that is wrong
-    # throughout all seems to move.
+    # By odometry that is wrong throughout all seems to move.
+    _, crowd = without_crowd(log, drive)
+    # Scans that turn against the odometry may be what is mirrored; only the map tells.
     for (put_right, steps), unturned, still in (
-        (plain, None, True), (plain, None, False), (turned, plain, True), (reversed_, None, True),
+        (plain, None, True), *([(plain, None, False)] if crowd else []), (turned, plain, True), (reversed_, None, True),
         (both, reversed_, True),
     ):  # fmt: skip
         judged = search(log, steps, put_right, still=still)
@@ -301,9 +302,9 @@ def _hypotheses(
     log: SensorLog, drive: Drive, name: str, *, grid: OccupancyGrid, walls: Walls, start: FloatArray | None,
     report: Progress, still: bool = True,
 ) -> list[Judged]:  # fmt: skip
-    """Return courses through the log, the cheapest first; by what stands still alone, or by all readings."""
+    """Return courses through the log, the cheapest first; in a crowd by what stands still alone, or by all readings."""
     if still:
-        log = without_moving_objects(log, drive)
+        log, _ = without_crowd(log, drive)
         drive = with_points(drive, log)
     stage = "searching the map" + (f", {name}" if name else "")
     rigid, learning = follow_hypotheses(drive, grid, walls, start, partial(report, stage))

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from beamfield.finding import Finding, Severity, worst_first
 from beamfield.geometry import FloatArray
 from beamfield.localization.coarse_model import CoarseModel
 from beamfield.localization.mapped_area import MappedArea, MappedAreaModel
+from beamfield.localization.moving_objects import without_crowd_so_far
 from beamfield.localization.particle_filter import FilterOptions, ParticleFilter, Update
 from beamfield.localization.particles import Estimate, free_poses, normal_poses
 from beamfield.localization.recovery import PoseSource
@@ -119,6 +120,9 @@ class ScanLocalizer:
     ) -> Localization:
         """Filter a log.
 
+        In a log of which 12% or more of the readings are of what moves, such as people, by the scans before each, these
+        are left out.
+
         Parameters
         ----------
         log
@@ -145,6 +149,7 @@ class ScanLocalizer:
         """
         if not log.has_odometry:
             raise TooLittleDataError("log: no scan has odometry, which moves the particles; expected some")
+        log, crowd = _without_crowd_so_far(log)
         own, coarse = self._filter(rng), None if start is not None else self.coarse or CoarseModel(self.grid)
         own.start(self._cloud(start, rng), coarse=coarse)
         place, searched_from = _FoundPlace(self.grid), 0
@@ -213,7 +218,7 @@ class ScanLocalizer:
             np.reshape([cloud.covariance for cloud in clouds], (-1, 3, 3)),
             np.array(sizes, np.int64),
             np.array(seconds),
-            findings=_findings(counts, len(log), relocalized),
+            findings=worst_first([*_findings(counts, len(log), relocalized), *crowd]),
             searched_from=searched_from,
         )
 
@@ -272,6 +277,10 @@ class _FoundPlace:
         if np.isfinite(share) and scan.finder.opening_angle == 0.0:
             self._shares.append(share)
         return self.is_settled and float(np.mean(self._shares)) < CONTRADICTED
+
+
+# Filters run over a log many times.
+_without_crowd_so_far = lru_cache(maxsize=2)(without_crowd_so_far)
 
 
 def _is_repeated(log: SensorLog, i: int, given: int) -> bool:

@@ -49,8 +49,8 @@ def verdict_level(calibration: Calibration) -> Level:
 def doubts(calibration: Calibration) -> str:
     """Return why no value may be used yet: map or poses cannot be trusted; empty if they can."""
     found = {finding.name for finding in calibration.findings}
-    if "cones" in found:
-        # A field takes cones for rays: it says little of sonars in the right map, too.
+    if found & {"cones", "moving-objects"}:
+        # A field takes cones for rays, and people for walls: it may say little in the right map, too.
         found.discard("field-says-nothing")
     reasons = [words for name, words in DOUBTS.items() if name in found]
     return f"Do not use these values yet: {'; '.join(reasons)}." if reasons else ""

@@ -103,7 +103,7 @@ def exponent_findings(
             {"score": score, "standard_error": standard_error},
             why="A field takes a sonar's cones for rays: it says little, even in the right map."
             if cones
-            else "The map, the poses or their frame are wrong, or the log is too short.",
+            else "The map, the poses or their frame are wrong, most readings are of people, or the log is too short.",
             do="Use the beam model's parameters, with SonarModel, not the likelihood field."
             if cones
             else "Correct what is wrong and calibrate again; until then do not use the likelihood field.",

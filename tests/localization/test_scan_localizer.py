@@ -16,10 +16,13 @@ from beamfield.localization.replay import PoseBelief, judge_replay, reference_st
 from beamfield.localization.scan_localizer import ScanLocalizer
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
+from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.gaussian_motion import USUAL_MOTION, GaussianMotion
 from beamfield.models.likelihood_field import LikelihoodFieldModel
-from beamfield.sensors import SensorLog
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.dependence import Dependence
+from beamfield.simulation.log import simulate_log
 from tests.real.posed_logs import wean_log
 
 
@@ -48,6 +51,20 @@ def test_the_beam_model_follows_it_as_well(localizer, drive, truth):
     errors = judge_replay(run(replace(localizer, model=model), drive[:240]), drive.poses[:240])
     assert errors.mean < 0.08
     assert not errors.lost
+
+
+def test_a_crowd_hardly_moves_it(localizer, office, truth):
+    crowd = BeamParameters(0.35, 0.60, 0.02, 0.03, sigma_hit=0.05, lambda_short=0.3)
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 91), 10.0)
+    log = simulate_log(office, finder, crowd, duration=60.0, scan_rate=5.0, seed=2, dependence=Dependence(0.3, 1.0))
+    log = log.only_sensor()
+    found = run(localizer, log)
+    # With all readings it is 0.29 m.
+    assert judge_replay(found, log.poses).mean < 0.15
+    assert "moving-objects" in {one.name for one in found.findings}
+    # A model that explains short readings has use for them.
+    beams = replace(localizer, model=BeamModel(office, truth, n_beams=20, exponent=0.1))
+    assert "moving-objects" not in {one.name for one in run(beams, log[:40]).findings}
 
 
 def test_the_same_seed_gives_the_same_bits(localizer, drive):

@@ -121,7 +121,7 @@ class ScanLocalizer:
         """Filter a log.
 
         In a log of which 12% or more of the readings are of what moves, such as people, by the scans before each, these
-        are left out.
+        are left out, unless the model has a share of short readings.
 
         Parameters
         ----------
@@ -149,7 +149,9 @@ class ScanLocalizer:
         """
         if not log.has_odometry:
             raise TooLittleDataError("log: no scan has odometry, which moves the particles; expected some")
-        log, crowd = _without_crowd_so_far(log)
+        # Who explains short readings learns from them where nothing stands in front.
+        explains_people = getattr(getattr(self.model, "parameters", None), "z_short", 0.0) > 0.0
+        log, crowd = (log, ()) if explains_people else _without_crowd_so_far(log)
         own, coarse = self._filter(rng), None if start is not None else self.coarse or CoarseModel(self.grid)
         own.start(self._cloud(start, rng), coarse=coarse)
         place, searched_from = _FoundPlace(self.grid), 0

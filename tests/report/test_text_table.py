@@ -92,8 +92,9 @@ def test_the_verdict_does_not_praise_a_fit_to_poses_or_a_map_that_cannot_be_trus
     assert verdict_level(doubtful) == "bad"
 
 
-def test_a_field_that_says_nothing_of_cones_is_no_reason_to_doubt_their_beam_model(case):
-    both = (Finding("cones", "info", ""), Finding("field-says-nothing", "warning", ""))
+@pytest.mark.parametrize("seen", ["cones", "moving-objects"])
+def test_a_field_that_says_nothing_of_cones_or_of_crowds_is_no_reason_to_doubt_the_beam_model(case, seen):
+    both = (Finding(seen, "info", ""), Finding("field-says-nothing", "warning", ""))
     assert verdict_level(replace(case.calibration, findings=both)) == "care"
 
 

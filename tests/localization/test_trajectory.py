@@ -21,6 +21,7 @@ from beamfield.maps.outdated_map import find_outdated_map
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import drawn_readings, simulate_log
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 from tests.conftest import TRUTH
@@ -88,6 +89,13 @@ def test_a_course_that_stands_out_is_taken_though_half_of_the_readings_are_no_hi
     found = find_course(log, office)
     assert found.hypotheses[0].misfit > MOST_COST
     assert distances(fit_course(log, office, found), log).mean() < 0.05
+
+
+def test_a_refusal_names_beams_that_see_the_robot(drive: SensorLog):
+    ranges = drive.ranges.copy()
+    ranges[:, :20] = 0.4
+    with pytest.raises(TrajectoryNotFoundError, match=r"agree\. At .* the readings are 0\.40 m wherever .*--mask"):
+        fit_trajectory(replace(drive, ranges=ranges), draw_floor_plan(seed=9))
 
 
 def test_a_map_is_out_of_date_where_most_readings_disagree_with_it_at_poses_that_fit_the_whole_drive(

@@ -222,9 +222,11 @@ def find_course(
         raise
     except TrajectoryNotFoundError as error:
         wrong = (mount_of_scans(log) or scan_delay(log) or turns_of_scans(log)) if log.has_odometry else None
-        if wrong is None or wrong.severity == "info":
+        # Beams that see the robot hide the map, and look alike wherever it turns.
+        named = [*robot_in_sight(log), *([] if wrong is None else [wrong])]
+        if not named or named[0].severity == "info":
             raise
-        raise TrajectoryNotFoundError(f"{error}. {wrong.text} {wrong.do}") from error
+        raise TrajectoryNotFoundError(f"{error}. {named[0].text} {named[0].do}") from error
     return found if log.has_odometry else found._replace(findings=(_no_odometry(log), *found.findings))
 
 
@@ -278,7 +280,8 @@ def fit_course(
     seen = [*(scale_finding(distance) if log.has_odometry else ()), *seen]
     held = drive.scans
     parts = parts_that_disagree(still[held], walls, fitted.poses[held], trusted[held])
-    findings = [*before, *seen, *more, *crowd, *robot_in_sight(log), *parts]
+    # Of parts that disagree the mount is not one.
+    findings = [*parts, *before, *seen, *more, *crowd, *robot_in_sight(log)]
     fit = _result(log, fitted, distance, turns, trusted, findings, found.hypotheses)
     outdated = find_outdated_map(still[held], grid, fit.poses[held], are_right=fit.is_beyond_doubt)
     return fit if outdated is None else replace(fit, findings=worst_first([*findings, outdated]))

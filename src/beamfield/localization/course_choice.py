@@ -151,14 +151,15 @@ def choose_course(
     search = partial(_hypotheses, grid=grid, walls=walls, start=start, report=report)
     plain, turned, reversed_, both = ("", drive), *mirrored(drive)
     first: tuple[StartHypothesis, ...] = ()
-    # By odometry that is wrong throughout all seems to move.
-    _, crowd = without_crowd(log, drive)
-    # Scans that turn against the odometry may be what is mirrored; only the map tells.
-    for (put_right, steps), unturned, still in (
-        (plain, None, True), *([(plain, None, False)] if crowd else []), (turned, plain, True), (reversed_, None, True),
-        (both, reversed_, True),
+    seen, crowd = without_crowd(log, drive)
+    still = "", with_points(drive, seen)
+    # By odometry that is wrong throughout all seems to move. Scans that turn against the odometry may be what is
+    # mirrored; only the map tells.
+    for (put_right, steps), unturned, scans in (
+        (still, None, seen), *([(plain, None, log)] if crowd else []), (turned, plain, None), (reversed_, None, None),
+        (both, reversed_, None),
     ):  # fmt: skip
-        judged = search(log, steps, put_right, still=still)
+        judged = search(log if scans is None else scans, steps, put_right, is_still=scans is not None)
         first = first or tuple(one for one, _ in judged[:2])
         if judged[0][0].misfit > (MOST_COST if len(judged[0][1].jumps) else limit):
             judged = (
@@ -300,10 +301,10 @@ def _refuse_mirrored(log: SensorLog, drive: Drive, search: Callable[..., list[Ju
 
 def _hypotheses(
     log: SensorLog, drive: Drive, name: str, *, grid: OccupancyGrid, walls: Walls, start: FloatArray | None,
-    report: Progress, still: bool = True,
+    report: Progress, is_still: bool = False,
 ) -> list[Judged]:  # fmt: skip
-    """Return courses through the log, the cheapest first; in a crowd by what stands still alone, or by all readings."""
-    if still:
+    """Return courses through the log, the cheapest first; without a crowd, if one is left in what is given."""
+    if not is_still:
         log, _ = without_crowd(log, drive)
         drive = with_points(drive, log)
     stage = "searching the map" + (f", {name}" if name else "")

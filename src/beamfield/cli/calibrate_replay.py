@@ -33,7 +33,9 @@ def replay_fit(
     from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED, motion_candidates
     from beamfield.stacks.fit.replay_amount import replay_options
     from beamfield.stacks.fit.replay_choice import choose_by_replay
+    from beamfield.stacks.fit.replay_runs import half_cell_shift
     from beamfield.stacks.fit.replay_segments import cut_segments
+    from beamfield.stacks.registry import STACKS
 
     if not sensor.has_odometry:
         return None, "the log has no odometry"
@@ -55,7 +57,7 @@ def replay_fit(
         sensors["fitted"] = fit.model.model, fit.parameters
     for other in others:
         sensors[f"{other.model.model} fitted"] = other.model.model, other.parameters
-    shift = _shift(job, before, grid)
+    shift = half_cell_shift(STACKS[before.stack], grid) if _can_write(job) else 0.0
     hollow = takes_hollow_map(job, before.stack, sensors.values(), grid)
     inputs = before, sensors, motions, shift, stretches, grid, options
     its_own = job.patched is not None and goes_with_moved_map(job.patched.section.text)
@@ -144,14 +146,6 @@ def _settings(job: CalibrationJob, fit: StackFit) -> FilterSettings | None:
     return FilterSettings(
         fit.model.stack, fit.model.model, fit.before.parameters, described.motion(), described.parameters()
     )
-
-
-def _shift(job: CalibrationJob, before: FilterSettings, grid: OccupancyGrid) -> float:
-    """Return what sets the map's origin right: half a cell where the program is off by that, and a file may say so."""
-    from beamfield.stacks.registry import STACKS
-
-    is_wrong = STACKS[before.stack].half_cell_low and grid.origin[2] == 0.0
-    return 0.5 * grid.resolution if is_wrong and _can_write(job) else 0.0
 
 
 def _cache_folder() -> Path:

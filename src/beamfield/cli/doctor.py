@@ -97,6 +97,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
             notes = (*notes, *more)
         progress("examining", 0, 1)
         found = examine(file, grid=grid, map_file=map_file, log=log, frames=frames)
+        if log is not None and grid is not None and not any(item.severity == "error" for item in found):
+            replay, more = _replayed(file, grid, log, progress)
+            found, notes = (*replay, *found), (*notes, *more)
     hidden = {item.name for item in of_poses}
     if "own-poses-lost" not in hidden:
         hidden.add(ONLY_IF_LOST)
@@ -128,6 +131,20 @@ def _posed(
         log = log.with_poses(np.full((len(log), 3), np.nan))
         infos.append("most readings disagree with the map at the log's poses; tests at them are left out")
     return log, tuple(finding for finding in found if finding.severity != "info"), tuple(infos)
+
+
+def _replayed(
+    file: StackFile, grid: OccupancyGrid, log: SensorLog, progress: StageProgress
+) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
+    """Return what the program's filter makes of the log, or why not; nothing without odometry or poses."""
+    from beamfield.stacks.doctor.replayed import replayed
+
+    if not (log.has_odometry and log.has_poses):
+        return (), ()
+    try:
+        return (replayed(file, grid, log, progress=progress),), ()
+    except (FormatError, TooLittleDataError) as error:
+        return (), (f"{error}; the filter was not replayed",)
 
 
 def _read_map(arguments: argparse.Namespace) -> tuple[OccupancyGrid, MapFile]:

@@ -19,6 +19,7 @@ from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.kept_runs import KeptRuns
+from beamfield.stacks.stack import Stack
 
 Progress = Callable[[str, int, int], None]
 
@@ -182,3 +183,8 @@ def _joined(one: ReplayTrials, other: ReplayTrials) -> ReplayTrials:
 def shifted_map(grid: OccupancyGrid, shift: float) -> OccupancyGrid:
     """Return the map with another origin."""
     return replace(grid, origin=grid.origin + np.array([shift, shift, 0.0])) if shift else grid
+
+
+def half_cell_shift(stack: Stack, grid: OccupancyGrid) -> float:
+    """Return what sets a map's x and y origin right for a program, metres: half a cell where it is off by that."""
+    return 0.5 * grid.resolution if stack.half_cell_low and grid.origin[2] == 0.0 else 0.0

@@ -69,6 +69,12 @@ def test_values_that_lose_it_are_a_warning(office, drive, tmp_path):
     assert f"{finding.values['lost']} of {finding.values['runs']} runs" in finding.text
 
 
+def test_values_that_lag_far_behind_are_a_warning_though_no_run_is_lost(office, drive, tmp_path, monkeypatch):
+    monkeypatch.setattr("beamfield.stacks.doctor.replayed.FAR", 0.01)
+    finding = found(GOOD, office, drive, tmp_path)
+    assert (finding.severity, finding.values["lost"]) == ("warning", 0)
+
+
 def test_a_file_for_amcls_own_map_is_replayed_on_that_map(drive, office, tmp_path):
     own = GOOD + f"# calibrated by beamfield for the map {MOVED_MAP}\n"
     # With the walls moved back as far as that map has them, its own map is the true one.

@@ -51,7 +51,7 @@ def replayed(file: StackFile, grid: OccupancyGrid, log: SensorLog, *, progress: 
     return subject.finding(
         "replayed", "warning" if is_lost else "info",
         f"replayed on {len(stretches)} stretches of this log, the filter of {subject.stack.title}, emulated, loses the "
-        f"robot in {n_lost or 'none'} of {len(runs)} runs; mean position error {error:.3f} m",
+        f"robot in {n_lost or 'none'} of {len(runs)} runs; {error:.3f} m from the reference poses in the mean",
         "with these values the robot gets lost on such a drive" if is_lost
         else "these values follow the robot on such a drive" + ("; one run may be chance" if n_lost else ""),
         "put right what else is found, then let beamfield calibrate --stack choose values by such replays" if is_lost

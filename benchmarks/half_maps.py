@@ -68,10 +68,14 @@ class HalfMaps(NamedTuple):
 def half_maps(folder: Path, name: str) -> HalfMaps:
     """Draw the maps of a log, with cells of 5 cm."""
     log = (MORE_LOGS | OTHER_LOGS)[name](folder)
-    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(log.poses[:, :2], axis=0).T)))
-    half = (way // GROUP).astype(np.int64) % 2
+    half = (way_of(log) // GROUP).astype(np.int64) % 2
     first, second = (build_map(log, resolution=0.05, scans=half == i) for i in (0, 1))
     return HalfMaps(log, half, (first, second))
+
+
+def way_of(log: SensorLog) -> FloatArray:
+    """Return how far the robot has come at each scan, metres."""
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(log.poses[:, :2], axis=0).T)))
 
 
 def corrected(folder: Path, name: str) -> SensorLog:

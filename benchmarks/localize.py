@@ -56,7 +56,7 @@ from followed_logs import (
     numbers,
     offices,
 )
-from half_maps import ByOtherMap, HalfMaps, half_maps
+from half_maps import ByOtherMap, half_maps, way_of
 from real_logs import read_log_and_map
 from tables import print_table
 
@@ -152,21 +152,21 @@ def elsewhere(folder: Path, seeds: int) -> list[dict[str, Any]]:
     """Return starts from anywhere at every eighth of the way of logs on which nothing was tuned, 60 m of each."""
     rows = []
     for name in ("TurtleBot 4", "simulated Pioneer", "real Pioneer", "intel", "fr079", "Belgioioso"):
-        if name in LOGS:
-            log, grid = read_log_and_map(folder, *LOGS[name])
-            localizer = localizer_of("likelihood field", grid)
-        else:
-            log, localizer = by_other_map(half_maps(folder, name))
+        log, localizer = log_and_localizer(folder, name)
         log = log[np.isfinite(np.hstack([log.poses, log.odometry])).all(axis=1)]
-        way = np.append(0.0, np.cumsum(np.hypot(*np.diff(log.poses[:, :2], axis=0).T)))
+        way = way_of(log)
         begins = [begin for begin in np.arange(8) / 8 * way[-1] if way[-1] - begin >= LEAST_WAY]
         parts = [log[slice(*np.searchsorted(way, [begin, begin + MOST_WAY]))] for begin in begins]
         rows.append({"log": name, **summed([Start.of(localizer, part, s) for part in parts for s in range(seeds)])})
     return rows
 
 
-def by_other_map(maps: HalfMaps) -> tuple[SensorLog, ScanLocalizer]:
-    """Return a log and the filter as the command makes it, but for maps that no scan has a part in."""
+def log_and_localizer(folder: Path, name: str) -> tuple[SensorLog, ScanLocalizer]:
+    """Return a log and the filter as the command makes it; a log without a map has those that no scan has a part in."""
+    if name in LOGS or name.startswith("simulated office"):
+        log, grid = read_log_and_map(folder, *LOGS[name]) if name in LOGS else offices()[name]
+        return log, localizer_of("likelihood field", grid)
+    maps = half_maps(folder, name)
     model = ByOtherMap(maps, partial(model_of, "likelihood field", exponent=INDEPENDENT_BEAMS / DEFAULT_BEAMS))
     return maps.log, ScanLocalizer(maps.grids[1], model, USUAL_MOTION, coarse=ByOtherMap(maps, CoarseModel))
 
@@ -290,14 +290,8 @@ def people(folder: Path, seeds: int) -> list[dict[str, Any]]:
                 localizer = localizer_of(kind, grid)
                 if left_out:
                     localizer = replace(localizer, short_readings=ShortReadings(grid, sigma=PARAMETERS.sigma_hit))
-                rows.append(
-                    {
-                        "log": name,
-                        "model": kind,
-                        "left out": "yes" if left_out else "no",
-                        **numbers(followed(localizer, log, seeds)),
-                    }
-                )
+                said = numbers(followed(localizer, log, seeds))
+                rows.append({"log": name, "model": kind, "left out": "yes" if left_out else "no", **said})
     return rows
 
 
@@ -305,16 +299,10 @@ def recovery(folder: Path, seeds: int) -> list[dict[str, Any]]:
     """Return one row per log and rule: errors with nothing wrong, and how many robots carried elsewhere are found."""
     rows = []
     for name in CARRIED_IN:
-        if name in HALF_LOGS:
-            log, localizer = by_other_map(half_maps(folder, name))
-        else:
-            log, grid = (
-                offices()[name] if name.startswith("simulated office") else read_log_and_map(folder, *LOGS[name])
-            )
-            localizer = localizer_of("likelihood field", grid)
+        log, localizer = log_and_localizer(folder, name)
         log = log[reference_start(log)[0] :]
         log = log[np.isfinite(np.hstack([log.poses, log.odometry])).all(axis=1)]
-        way = np.append(0.0, np.cumsum(np.hypot(*np.diff(log.poses[:, :2], axis=0).T)))
+        way = way_of(log)
         log = log[: int(np.searchsorted(way, MOST_WAY_CARRIED))]
         carried = [cut for part in CUTS if (cut := kidnapped(log, *part)) is not None]
         for rule, change in RULES.items():
@@ -348,8 +336,10 @@ RULES: dict[str, Callable[[ScanLocalizer], ScanLocalizer]] = {
     "averages (Table 8.3)": with_averages,
     "a second search": lambda localizer: localizer,
 }
-HALF_LOGS = ("real Pioneer", "intel", "fr079", "Belgioioso", "csail")
-CARRIED_IN = (*WEAN_LOGS, "simulated Pioneer", *(f"simulated office {k}" for k in (11, 12, 13)), *HALF_LOGS)
+CARRIED_IN = (
+    *WEAN_LOGS, "simulated Pioneer", *(f"simulated office {k}" for k in (11, 12, 13)), "real Pioneer", "intel", "fr079",
+    "Belgioioso", "csail",
+)  # fmt: skip
 # Parts of a log that are cut out, and how far the robot is carried then at least, metres; so much of a log is used.
 CUTS = ((0.2, 0.4), (0.2, 0.55), (0.35, 0.6), (0.5, 0.65), (0.5, 0.75))
 CARRIED_FAR, MOST_WAY_CARRIED = 2.0, 250.0
@@ -374,14 +364,7 @@ def ends_right(localizer: ScanLocalizer, log: SensorLog, seed: int) -> bool:
 
 
 TABLES = {
-    "accuracy": accuracy,
-    "calibrated": calibrated,
-    "starts": starts,
-    "elsewhere": elsewhere,
-    "rival": rival,
-    "exponents": exponents,
-    "people": people,
-    "recovery": recovery,
+    table.__name__: table for table in (accuracy, calibrated, starts, elsewhere, rival, exponents, people, recovery)
 }
 
 

@@ -112,7 +112,7 @@ def lost_picture(log: SensorLog, grid: OccupancyGrid) -> Figure:
     draw_map(path, grid, (x0, x1, y0, y1))
     path.plot(*fitted[:, :2].T, color=FIT, lw=1.5, label="fitted to the map")
     path.plot(*own[:, :2].T, color=HELD_OUT, lw=1.2, ls="--", label="said by the robot's filter")
-    frame(path, (x0, x1, y0, y1), with_legend=False)
+    frame(path, (x0, x1, y0, y1))
     legend_above(path)
     error.plot(seconds, off, color=HELD_OUT, lw=1.3, label="own poses beside the fitted ones")
     error.axhline(0.5, color=QUIET, lw=0.9, ls="--", label="lost beyond 0.5 m")
@@ -178,7 +178,7 @@ def draw_way(axes: Axes, name: str, color: str, log: SensorLog, grid: OccupancyG
         angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
         across, along = 2.0 * np.sqrt(np.maximum(values, 0.0) * CHI2_95)
         axes.add_patch(Ellipse(mean[:2], along, across, angle=angle, fc="none", ec=color, lw=0.8))
-    frame(axes, (x0, x1, y0, y1), with_legend=False)
+    frame(axes, (x0, x1, y0, y1))
     axes.set_title(TITLES[name], fontsize=10, loc="left", fontweight="bold", color=color)
 
 
@@ -217,6 +217,7 @@ def draw_ring_in_map(axes, grid: OccupancyGrid, ring: RangeFinder, pose) -> None
     axes.plot(*points.T, "o", color="#0072b2", ms=5, label="nearest point in the cone")
     axes.plot(*pose[:2], "k^", ms=6)
     frame(axes, limits)
+    legend_above(axes)
     axes.set_title("Expected ranges of a ring of twelve cones of 30 degrees", fontsize=10, loc="left",
                    fontweight="bold", pad=20)  # fmt: skip
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
 from beamfield.cli.main import main
 from beamfield.cli.terminal import complain, say, say_json
-from beamfield.io.bags.writer import write_bag
+from beamfield.io.bags import writer
 from beamfield.io.read_log import read_log
 from beamfield.printable import printable
 from tests.cli.simulated import simulated
@@ -54,7 +55,8 @@ def evil(tmp_path_factory: pytest.TempPathFactory) -> Path:
     world = simulated(folder / "world", "--duration 40 --scan-rate 4 --beams 13")
     log = read_log(world / "log.carmen")
     name = EVIL.replace("/", "")
-    write_bag(folder / name, log, topic=EVIL, odometry_topic=f"{EVIL}/odom", odom_frame=f"{EVIL}/odom")
+    with mock.patch.multiple(writer, TOPIC=EVIL, ODOMETRY_TOPIC=f"{EVIL}/odom", ODOM_FRAME=f"{EVIL}/odom"):
+        writer.write_bag(folder / name, log)
     for file in ("map.yaml", "map.pgm"):
         (world / file).rename(folder / file)
     return folder

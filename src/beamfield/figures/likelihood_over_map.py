@@ -54,7 +54,7 @@ def likelihood_figure(
     else:
         figure = new_figure(12.0, float(np.clip(6.6 * aspect, 4.2, 9.0)))
         left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
-    draw_scan_in_map(scan, grid, reference, left, title="(a) the scan at its reference pose")
+    draw_scan_in_map(scan, grid, reference, left)
     draw_likelihood_map(result, grid, right, reference=reference, title=f"(b) {title}")
     _lay_out(figure)
     return figure
@@ -67,13 +67,13 @@ def _lay_out(figure: Figure) -> None:
             engine.execute(figure)
 
 
-def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes, *, title: str) -> None:
+def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes) -> None:
     """Draw a scan in the part of the map that it sees."""
     framed_map(grid, ax)
     draw_scan(scan, pose, ax, label="end points", color=BEST_COLOUR, size=9.0, rays=True)
     low, high = scan_limits(scan, pose, MARGIN)
     mark_robot(pose, ax, size=0.03 * float((high - low).max()), color=REFERENCE_COLOUR, label="robot")
-    frame(ax, low, high, title)
+    frame(ax, low, high, "(a) the scan at its reference pose")
     ax.set_facecolor("#E1E5EA")
     legend_under_title(ax)
 

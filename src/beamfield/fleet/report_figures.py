@@ -187,7 +187,7 @@ def stale_figure(stale: StaleMap) -> ReportFigure:
         outlines = squares_at(place.corners, stale.side)
         axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=MODEL, linewidths=0.8, zorder=3.0))
         number_place(axes, number, place.x, place.y)
-    frame(axes, limits, with_legend=False)
+    frame(axes, limits)
     colour_bar(figure, axes, patches, "share of beams that disagree with the map")
     panels = [png_panel(figure, f"Map of {stale.site} with {len(stale.lasting)} places to map again.")]
     if listed:

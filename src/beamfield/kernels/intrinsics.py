@@ -127,14 +127,7 @@ def _fill_densities(
 
 @inlined_fast_kernel
 def _polynomial(c: FloatArray, t: float) -> float:
-    p = c[7]
-    p = p * t + c[6]
-    p = p * t + c[5]
-    p = p * t + c[4]
-    p = p * t + c[3]
-    p = p * t + c[2]
-    p = p * t + c[1]
-    return float(p * t + c[0])
+    return float(((((((c[7] * t + c[6]) * t + c[5]) * t + c[4]) * t + c[3]) * t + c[2]) * t + c[1]) * t + c[0])
 
 
 @kernel

@@ -67,23 +67,7 @@ def add_known(
     poses: Floats, mount: Floats, features: Floats, lines: Floats, base: Floats, known: Indices, which: Indices,
     each: bool, out: Floats,
 ) -> None:  # fmt: skip
-    """Add up the log densities of measured lines whose mapped lines are known.
-
-    Parameters
-    ----------
-    poses
-        (n, 3) of the robot.
-    mount
-        (3,) position of the sensor on the robot in the *sensor's* axes, and its heading on the robot.
-    features, lines, base
-        (k, 5), (N, 4) and (k,).
-    known, which
-        Indices of these features and of their lines.
-    each
-        Whether each feature has its own column of `out`; else all are added up in column 0.
-    out
-        (n, ...) added to.
-    """
+    """Do what `landmark.add_known` does for measured lines (k, 5) and mapped ones (N, 4); base is (k,)."""
     x, y, turn, total = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     d, best, gap = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     for start in range(0, poses.shape[0], BLOCK):

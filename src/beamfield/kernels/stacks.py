@@ -153,10 +153,7 @@ def look_up_ends(poses: Floats, frame: tuple[float, float, float], resolution: f
     rows, cols = distance.shape
     cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
     for i in range(len(poses)):
-        dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
-        x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
-        heading = poses[i, 2] - frame[2]
-        c, s = math.cos(heading), math.sin(heading)
+        x, y, _, c, s = _in_frame(poses[i, 0], poses[i, 1], poses[i, 2], frame, cos_frame, sin_frame)
         for b in range(ends.shape[1]):
             u = (x + (c * ends[0, b] - s * ends[1, b])) / resolution
             v = (y + (s * ends[0, b] + c * ends[1, b])) / resolution
@@ -190,10 +187,7 @@ def sum_ends(poses: Floats, frame: tuple[float, float, float], resolution: float
     right, top, width, off_map = float(shape[1]), float(shape[0]), np.int32(shape[1]), np.int32(len(terms) - 1)
     cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
     for i in range(len(poses)):
-        dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
-        x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
-        heading = poses[i, 2] - frame[2]
-        c, s = math.cos(heading), math.sin(heading)
+        x, y, _, c, s = _in_frame(poses[i, 0], poses[i, 1], poses[i, 2], frame, cos_frame, sin_frame)
         # A loop of its own, which is vectorised; with the sum in it, all takes 2 to 3 times as long.
         for b in range(len(cells)):
             u = (x + (c * ends[0, b] - s * ends[1, b])) / resolution
@@ -237,10 +231,7 @@ def cast_bresenham(poses: Floats, frame: tuple[float, float, float], resolution:
     lines = np.empty((len(bearings), 4), np.int64)
     cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
     for i in range(len(poses)):
-        dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
-        x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
-        heading = poses[i, 2] - frame[2]
-        c, s = math.cos(heading), math.sin(heading)
+        x, y, heading, c, s = _in_frame(poses[i, 0], poses[i, 1], poses[i, 2], frame, cos_frame, sin_frame)
         for b in range(len(bearings)):
             from_x, from_y = x + (c * starts[0, b] - s * starts[1, b]), y + (s * starts[0, b] + c * starts[1, b])
             along = heading + bearings[b]
@@ -252,6 +243,16 @@ def cast_bresenham(poses: Floats, frame: tuple[float, float, float], resolution:
             x0, y0, x1, y1 = lines[b, 0], lines[b, 1], lines[b, 2], lines[b, 3]
             distance = _follow(x0, y0, x1, y1, cells, edge_stops, overshoot, ties_turn)
             ranges[i, b] = distance * resolution if distance >= 0.0 else max_range
+
+
+@inlined_kernel
+def _in_frame(
+    x: float, y: float, theta: float, frame: tuple[float, float, float], cos_frame: float, sin_frame: float
+) -> tuple[float, float, float, float, float]:
+    """Return x, y and heading of a pose in the grid's frame, with the heading's cos and sin."""
+    dx, dy, heading = x - frame[0], y - frame[1], theta - frame[2]
+    u, v = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
+    return u, v, heading, math.cos(heading), math.sin(heading)
 
 
 @inlined_kernel

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -160,13 +161,7 @@ class ScanLocalizer:
         poses: FloatArray = np.full((len(log), 3), np.nan)
         # Of the clouds, which are large, mean and covariance are kept.
         used, clouds, sizes, seconds = [], list[Estimate](), [], []
-        counts = {
-            "repeated-scans": 0,
-            "impossible-scans": 0,
-            "no-odometry": 0,
-            "searched-again": 0,
-            "odometry-jumps": 0,
-        }
+        counts = Counter[str]()
         # The last scan given to the filter.
         given = -1
         for i, scan in enumerate(log):
@@ -340,7 +335,7 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
 }
 
 
-def _findings(counts: Mapping[str, int], n_scans: int, relocalized: Sequence[float]) -> tuple[Finding, ...]:
+def _findings(counts: Mapping[str, int], n_scans: int, relocalized: Sequence[float]) -> Iterator[Finding]:
     def words(n: int) -> dict[str, object]:
         return {"n": n, "t": n_scans, "times": "once" if n == 1 else f"{n} times"}
 
@@ -349,8 +344,9 @@ def _findings(counts: Mapping[str, int], n_scans: int, relocalized: Sequence[flo
         named, n = "not-found" if name == "found-late" else name, counts[name]
         return Finding(named, severity, text.format(**words(n)), {"count": float(n)}, do=done)
 
-    found = [finding(name, *texts) for name, texts in _TEXTS.items() if counts[name]]
-    return worst_first([*found, _elsewhere(relocalized)] if relocalized else found)
+    yield from (finding(name, *texts) for name, texts in _TEXTS.items() if counts[name])
+    if relocalized:
+        yield _elsewhere(relocalized)
 
 
 def _elsewhere(relocalized: Sequence[float]) -> Finding:

@@ -54,8 +54,7 @@ def turn_errors(drive: Drive, poses: FloatArray, cut: NDArray[np.bool_]) -> Turn
 
     None if the robot turned too little.
     """
-    since = drive.stamps - drive.stamps[0]
-    edges = np.unique(np.searchsorted(since, np.arange(0.0, since[-1], WINDOW)).clip(max=len(since) - 1))
+    _, edges = _windows(drive)
     begin, end = edges[:-1], edges[1:]
     broken = np.concatenate([[0], np.cumsum(cut)])
     whole = broken[begin] == broken[end]
@@ -76,8 +75,7 @@ def turn_errors(drive: Drive, poses: FloatArray, cut: NDArray[np.bool_]) -> Turn
 
 def drift_at_rest(drive: Drive, poses: FloatArray) -> Iterator[Finding]:
     """Name odometry that turns to one side while the fitted poses (t, 3) stand still."""
-    since = drive.stamps - drive.stamps[0]
-    edges = np.unique(np.searchsorted(since, np.arange(0.0, since[-1], WINDOW)).clip(max=len(since) - 1))
+    since, edges = _windows(drive)
     moved, sums = between(poses[edges[:-1]], poses[edges[1:]]), np.concatenate([[0.0], np.cumsum(drive.steps[:, 2])])
     stands = (np.hypot(moved[:, 0], moved[:, 1]) < STILL) & (np.abs(moved[:, 2]) < STILL_TURN)
     rates = (np.diff(sums[edges]) / np.diff(since[edges]))[stands]
@@ -92,6 +90,12 @@ def drift_at_rest(drive: Drive, poses: FloatArray) -> Iterator[Finding]:
         why="A gyro drifts: the robot turns away in the map, and the longer it stands the more.",
         do="Calibrate the gyro's bias while the robot stands, or let the odometry take no turn while the wheels stand.",
     )  # fmt: skip
+
+
+def _windows(drive: Drive) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return the seconds of the scans (t,) since the first one, and the scans at which windows begin and end."""
+    since = drive.stamps - drive.stamps[0]
+    return since, np.unique(np.searchsorted(since, np.arange(0.0, since[-1], WINDOW)).clip(max=len(since) - 1))
 
 
 def _solved(rows: FloatArray, off: FloatArray) -> FloatArray:

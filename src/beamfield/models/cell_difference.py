@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from beamfield.arguments import checked, require
-from beamfield.geometry import FloatArray, as_poses
-from beamfield.models.local_map_cells import LocalMap, LocalMapModel, overlap_sums
+from beamfield.arguments import require
+from beamfield.geometry import FloatArray
+from beamfield.models.local_map_cells import LocalCells, LocalMapModel, overlap_sums
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,33 +57,10 @@ class CellDifferenceModel(LocalMapModel):
         super().__post_init__()
         require(0.0 < self.sigma < np.inf, "sigma", "a positive, finite number", self.sigma)
 
-    @checked
-    def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
-        """Return -D / (2 sigma^2) at many poses.
-
-        Parameters
-        ----------
-        z
-            A scan, or a local map in the robot's frame.
-        poses
-            (..., 3) robot poses, metres and radians.
-
-        Returns
-        -------
-        (...) nats up to a constant, at most 0; -inf where fewer than `min_overlap` of the local map's cells are defined
-        in the map; 0 everywhere for a measurement without any defined cell.
-
-        Raises
-        ------
-        InvalidInputError
-            If the poses are not finite (..., 3).
-        """
-        robots = as_poses(poses)
-        cells = self._cells(z)
+    def _log_likelihoods(self, cells: LocalCells, poses: FloatArray) -> FloatArray:
         total = len(cells.x)
-        sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3))
+        sums = overlap_sums(self.grid, self._table, cells, poses)
         # Rounding may leave less than 0.
         difference = np.maximum(sums.local_square - 2.0 * sums.product + sums.map_square, 0.0)
         scaled = difference * total / np.maximum(sums.n, 1.0)
-        value = np.where(sums.n >= self.min_overlap * total, 0.0 - scaled / (2.0 * self.sigma**2), -np.inf)
-        return value.reshape(robots.shape[:-1])
+        return np.where(sums.n >= self.min_overlap * total, 0.0 - scaled / (2.0 * self.sigma**2), -np.inf)

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from beamfield.arguments import checked
-from beamfield.geometry import FloatArray, as_poses
+from beamfield.geometry import FloatArray
 from beamfield.kernels.correlation import fill_histogram_overlap
 from beamfield.kernels.threads import run_in_blocks
-from beamfield.models.local_map_cells import LocalMap, LocalMapModel, poses_in_cells
+from beamfield.models.local_map_cells import LocalCells, LocalMapModel, poses_in_cells
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,35 +62,13 @@ class HistogramMatchingModel(LocalMapModel):
         table[1:-1, 1:-1][self.grid.probability > 0.5] = 1
         return table.reshape(-1)
 
-    @checked
-    def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
-        """Return the log of the common share at many poses.
-
-        Parameters
-        ----------
-        z
-            A scan, or a local map in the robot's frame.
-        poses
-            (..., 3) robot poses, metres and radians.
-
-        Returns
-        -------
-        (...) nats, at most 0; -inf where the histograms share nothing or fewer than `min_overlap` of the local map's
-        cells are defined in the map; 0 everywhere for a measurement without any defined cell.
-
-        Raises
-        ------
-        InvalidInputError
-            If the poses are not finite (..., 3).
-        """
-        robots = as_poses(poses)
-        cells = self._cells(z)
+    def _log_likelihoods(self, cells: LocalCells, poses: FloatArray) -> FloatArray:
         decided = cells.probability != 0.5
         x, y, occupied = cells.x[decided], cells.y[decided], (cells.probability[decided] > 0.5).astype(np.uint8)
         total = len(x)
         if total == 0:
-            return np.zeros(robots.shape[:-1])
-        starts = poses_in_cells(self.grid, robots.reshape(-1, 3))
+            return np.zeros(len(poses))
+        starts = poses_in_cells(self.grid, poses)
         reach = int(np.ceil(np.hypot(x, y).max()))
         table, shape, counts = self._table, self.grid.shape, np.empty((len(starts), 2))
         run_in_blocks(
@@ -102,4 +79,4 @@ class HistogramMatchingModel(LocalMapModel):
         n, common = counts.T
         share = np.where(n >= self.min_overlap * total, common / np.maximum(n, 1.0), 0.0)
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log(share).reshape(robots.shape[:-1]))
+            return np.asarray(np.log(share))

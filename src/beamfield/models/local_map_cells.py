@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, keep, require, restore
-from beamfield.geometry import FloatArray
+from beamfield.arguments import check_fields, checked, keep, require, restore
+from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import correlation as kernels
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.mapping import scan_map
@@ -22,7 +23,7 @@ LocalMap = Scan | OccupancyGrid
 
 
 @dataclass(frozen=True, eq=False)
-class LocalMapModel:
+class LocalMapModel(ABC):
     """A model of a local map by those of its cells that lie on defined cells of the global map.
 
     Parameters
@@ -51,6 +52,36 @@ class LocalMapModel:
         check_fields(self)
         require(0.0 < self.min_overlap <= 1.0, "min_overlap", "a share in (0, 1]", self.min_overlap)
         keep(self, _table=self._make_table())
+
+    @checked
+    def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
+        """Return log p(m_local | x, m) of one local map at many poses.
+
+        Parameters
+        ----------
+        z
+            A scan, or a local map in the robot's frame.
+        poses
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (...) nats up to a constant, at most 0; -inf where fewer than `min_overlap` of the local map's cells are defined
+        in the map, or the two have nothing in common; 0 everywhere for a measurement without any defined cell.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
+        """
+        robots, cells = as_poses(poses), self._cells(z)
+        if len(cells.x) == 0:
+            return np.zeros(robots.shape[:-1])
+        return self._log_likelihoods(cells, robots.reshape(-1, 3)).reshape(robots.shape[:-1])
+
+    @abstractmethod
+    def _log_likelihoods(self, cells: LocalCells, poses: FloatArray) -> FloatArray:
+        """Return the log-likelihoods (n,) of the defined cells of a local map at poses (n, 3)."""
 
     def _make_table(self) -> NDArray[Any]:
         """Return the map's cells as the kernels take them."""

@@ -129,30 +129,9 @@ class MapMatchingModel(LocalMapModel):
         """
         return self.match(z, poses).correlation
 
-    @checked
-    def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
-        """Return log max(rho, 0) of (6.37) at many poses.
-
-        Parameters
-        ----------
-        z, poses
-            As for `match`.
-
-        Returns
-        -------
-        (...) nats, at most 0; -inf where the correlation is not positive or not determined; 0 everywhere for a
-        measurement without any defined cell, because it says nothing.
-
-        Raises
-        ------
-        InvalidInputError
-            If the poses are not finite (..., 3).
-        """
-        robots, cells = as_poses(poses), self._cells(z)
-        if len(cells.x) == 0:
-            return np.zeros(robots.shape[:-1])
+    def _log_likelihoods(self, cells: LocalCells, poses: FloatArray) -> FloatArray:
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log(np.maximum(self._match(cells, robots).correlation, 0.0)))
+            return np.asarray(np.log(np.maximum(self._match(cells, poses).correlation, 0.0)))
 
     def _match(self, cells: LocalCells, robots: FloatArray) -> MapMatch:
         sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3))

@@ -55,7 +55,7 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
         label = f"{name} {shares[cause]:.1%}"
         axes.scatter([], [], s=40, marker=markers[cause], color=CAUSE_COLOURS[cause], label=label)
     _draw_path(axes, path)
-    frame(axes, limits, with_legend=False)
+    frame(axes, limits)
     legend_above(axes, ncols=columns)
     said = ", ".join(f"{name} {share:.1%}" for name, share in zip(CAUSES, shares, strict=True))
     return one_picture(
@@ -88,7 +88,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         poses[order, 0], poses[order, 1], c=line.log_likelihood[order], s=22, cmap="cividis", vmin=low, vmax=high,
         edgecolors=MODEL, linewidths=0.2,
     )  # fmt: skip
-    frame(axes, limits, with_legend=False)
+    frame(axes, limits)
     colour_bar(figure, axes, dots, "log-likelihood per beam [nats]")
     worst = poses[int(np.argmin(line.log_likelihood))]
     return one_picture(
@@ -181,11 +181,9 @@ def _draw_path(axes: Axes, path: FloatArray) -> None:
     axes.plot(*path[-1], "X", color=MODEL, markersize=6.5, markeredgecolor="white", markeredgewidth=0.6)
 
 
-def frame(axes: Axes, limits: Limits, *, with_legend: bool = True) -> None:
-    """Show the part of the map within the limits (x low, x high, y low, y high), with the legend above it."""
+def frame(axes: Axes, limits: Limits) -> None:
+    """Show the part of the map within the limits (x low, x high, y low, y high)."""
     axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
     style(axes, x="x in the map [m]", y="y in the map [m]", grid="none")
     # Off the map nothing is known either.
     axes.set_facecolor(MAP_COLOURS[1])
-    if with_legend:
-        legend_above(axes)

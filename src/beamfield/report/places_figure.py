@@ -48,7 +48,7 @@ def places_figure(found: ChangedPlaces, grid: OccupancyGrid, path: FloatArray) -
     _draw(axes, found)
     for number, place in enumerate(listed, start=1):
         number_place(axes, number, place.x, place.y)
-    frame(axes, limits, with_legend=False)
+    frame(axes, limits)
     legend_above(axes, ncols=3)
     alt = "Map with the places where readings differ from it: " + ", ".join(
         f"{len(found.of_kind(kind))} {kind}" for kind in KINDS

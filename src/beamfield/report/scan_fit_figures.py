@@ -159,7 +159,7 @@ def draw_sides(axes: Axes, model: RangeMixtureModel, log: SensorLog, grid: Occup
     arrow = {"arrowstyle": "-|>", "color": MODEL, "linewidth": 1.6, "shrinkA": 0.0, "shrinkB": 0.0}
     axes.annotate("", tip, pose[:2], arrowprops=arrow)
     axes.plot(*pose[:2], "o", color=MODEL, markersize=4)
-    frame(axes, limits, with_legend=False)
+    frame(axes, limits)
     legend_above(axes, ncols=2)
 
 

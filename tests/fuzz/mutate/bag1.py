@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import lz4.frame
 
-from tests.fuzz.mutate.havoc import WHOLE, havoc, overwrite_number
+from tests.fuzz.mutate.havoc import WHOLE, havoc, overwrite_number, reordered
 from tests.fuzz.mutate.message import mutate_definition, mutate_message
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -175,15 +175,7 @@ def _data(records: list[Record], rng: random.Random) -> list[Record]:
 
 
 def _order(records: list[Record], rng: random.Random) -> list[Record]:
-    i, j = rng.randrange(1, len(records)), rng.randrange(1, len(records))
-    step = rng.randrange(3)
-    if step == 0:
-        return records[:i] + records[i + 1 :]
-    if step == 1:
-        return [*records[:j], records[i], *records[j:]]
-    changed = list(records)
-    changed[i], changed[j] = changed[j], changed[i]
-    return changed
+    return reordered(records, rng, first=1)
 
 
 def _repacked(records: list[Record], rng: random.Random) -> list[Record]:

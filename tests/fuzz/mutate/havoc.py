@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import random
 import struct
+from typing import TypeVar
 
+T = TypeVar("T")
 WHOLE = (
     0, 1, 2, 3, 4, 7, 8, 16, 31, 32, 64, 100, 127, 128, 255, 256, 512, 1000, 1024, 4096, 32767, 32768, 65535, 65536,
     2**24, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**53, 2**62, 2**63 - 1, 2**63, 2**64 - 1,
@@ -42,6 +44,19 @@ def overwrite_number(content: bytes, rng: random.Random, *, at: int | None = Non
     else:
         packed = struct.pack(order + code, rng.choice(WHOLE) % 2 ** (8 * size))
     return content[:place] + packed[: len(content) - place] + content[place + size :]
+
+
+def reordered(items: list[T], rng: random.Random, first: int = 0) -> list[T]:
+    """Leave out an item from number `first` on, put one elsewhere once more, or let two change places."""
+    i, j = rng.randrange(first, len(items)), rng.randrange(first, len(items))
+    step = rng.randrange(3)
+    if step == 0:
+        return items[:i] + items[i + 1 :]
+    if step == 1:
+        return [*items[:j], items[i], *items[j:]]
+    changed = list(items)
+    changed[i], changed[j] = changed[j], changed[i]
+    return changed
 
 
 def _real(value: float, size: int, order: str) -> bytes:

@@ -9,7 +9,7 @@ import zlib
 
 import lz4.frame
 
-from tests.fuzz.mutate.havoc import havoc, overwrite_number
+from tests.fuzz.mutate.havoc import havoc, overwrite_number, reordered
 from tests.fuzz.mutate.message import mutate_definition, mutate_message
 
 if sys.version_info >= (3, 14):
@@ -130,14 +130,7 @@ def _data(records: Records, rng: random.Random) -> Records:
 
 
 def _order(records: Records, rng: random.Random) -> Records:
-    i, j = rng.randrange(1, len(records)), rng.randrange(1, len(records))
-    if rng.random() < 0.4:
-        return records[:i] + records[i + 1 :]
-    if rng.random() < 0.5:
-        return [*records[:j], records[i], *records[j:]]
-    changed = list(records)
-    changed[i], changed[j] = changed[j], changed[i]
-    return changed
+    return reordered(records, rng, first=1)
 
 
 def _text(records: Records, rng: random.Random) -> Records:

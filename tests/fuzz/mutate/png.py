@@ -6,7 +6,7 @@ import random
 import struct
 import zlib
 
-from tests.fuzz.mutate.havoc import havoc
+from tests.fuzz.mutate.havoc import havoc, reordered
 
 MAGIC = b"\x89PNG\r\n\x1a\n"
 _HEADER = struct.Struct(">IIBBBBB")
@@ -33,7 +33,7 @@ def mutate_png(content: bytes, rng: random.Random) -> bytes:
     chunks = png_chunks(content)
     if not chunks:
         return havoc(content, rng)
-    step = rng.choice((_field, _field, _field, _pixels, _pixels, _pixels, _extra, _extra, _order, _inside, _palette))
+    step = rng.choice((_field, _field, _field, _pixels, _pixels, _pixels, _extra, _extra, reordered, _inside, _palette))
     changed = png_bytes(step(chunks, rng))
     return _length(changed, rng) if rng.random() < 0.08 else changed
 
@@ -102,18 +102,6 @@ def _pixels(chunks: Chunks, rng: random.Random) -> Chunks:
 def _extra(chunks: Chunks, rng: random.Random) -> Chunks:
     place = rng.choice((1, 1, len(chunks) - 1, len(chunks), rng.randint(0, len(chunks))))
     return [*chunks[:place], rng.choice(EXTRA), *chunks[place:]]
-
-
-def _order(chunks: Chunks, rng: random.Random) -> Chunks:
-    i, j = rng.randrange(len(chunks)), rng.randrange(len(chunks))
-    step = rng.randrange(3)
-    if step == 0:
-        return chunks[:i] + chunks[i + 1 :]
-    if step == 1:
-        return [*chunks[:j], chunks[i], *chunks[j:]]
-    changed = list(chunks)
-    changed[i], changed[j] = changed[j], changed[i]
-    return changed
 
 
 def _inside(chunks: Chunks, rng: random.Random) -> Chunks:

@@ -65,13 +65,7 @@ class Mode:
 def identifiability_findings(
     likelihood: IntrinsicLikelihood, problem: LearningProblem, theta: FloatArray, modes: tuple[Mode, ...]
 ) -> tuple[Finding, ...]:
-    """Name what these beams leave open at the maximum `theta` (8,), the first of the maxima that were found.
-
-    The names: ``no-returns``, ``no-max-readings``, ``no-hits``, ``no-shorts``, ``no-random``,
-    ``readings-at-near-limit``, ``lambda-undetermined``, ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``,
-    ``noise-all-slope``, ``sigma-confounded``, ``offset-at-limit``, ``hits-and-shorts-confounded``,
-    ``hits-and-random-confounded``, ``shorts-and-random-confounded``, ``several-modes``.
-    """
+    """Name what these beams leave open at the maximum `theta` (8,), the first of the maxima that were found."""
     if likelihood.n_returned == 0.0:
         return (
             Finding(

@@ -202,9 +202,9 @@ class IntrinsicLikelihood:
             self._over_bins(work, bins)
         totals = sums.sum(axis=0)
         nodes = moments @ NODE_WEIGHTS
-        log_max = self.n_max * np.log(theta[W_MAX]) if self.n_max > 0.0 and theta[W_MAX] > 0.0 else 0.0
-        if self.n_max > 0.0 and theta[W_MAX] == 0.0:
-            log_max = -np.inf
+        log_max = 0.0
+        if self.n_max > 0.0:
+            log_max = self.n_max * np.log(theta[W_MAX]) if theta[W_MAX] > 0.0 else -np.inf
         return ExpectedStatistics(
             log_likelihood=float(totals[0] + log_max),
             counts=np.array([totals[1], totals[2], self.n_max, totals[3]]),
@@ -301,13 +301,7 @@ def cut(expected: FloatArray, mixture: Mixture) -> Bins:
         )
         n_bins = cut_into_bins(expected, mixture, bins)
         if n_bins <= capacity:
-            return Bins(
-                bins.starts[:n_bins],
-                bins.stops[:n_bins],
-                bins.centres[:n_bins],
-                bins.half_widths[:n_bins],
-                bins.edge[:n_bins],
-            )
+            return Bins._make(column[:n_bins] for column in bins)
         capacity = n_bins
 
 

@@ -266,14 +266,14 @@ def _estimate(level: float, low: float, high: float) -> Estimate:
 def _simplest_of_the_best(candidates: list[NoiseCandidate]) -> NoiseCandidate:
     """Return the first candidate that is no more than a standard error behind the best on held-out blocks."""
     best = max(candidates, key=lambda one: one.score if np.isfinite(one.score) else -np.inf)
-    for one in candidates:
+
+    def is_as_good(one: NoiseCandidate) -> bool:
         difference = np.array(best.score_by_block) - np.array(one.score_by_block)
         difference = difference[np.isfinite(difference)]
-        if one is best or len(difference) < 2:
-            return one
-        if difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)):
-            return one
-    return best
+        few = one is best or len(difference) < 2
+        return few or bool(difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)))
+
+    return next(one for one in candidates if is_as_good(one))
 
 
 def _by_length(cut: Callable[[int], OdometryWindows]) -> tuple[tuple[int, float], ...]:

@@ -213,26 +213,29 @@ class _Chunk(NamedTuple):
     compression: str
 
 
-def _chunks_of_file(file: BinaryIO, size: int) -> Iterator[_Chunk]:
-    position = len(_MCAP)
+def _records(file: BinaryIO, position: int, size: int) -> Iterator[tuple[int, int, int]]:
+    """Yield where each record begins, its kind and its length; the file stands at its content."""
     while position + 9 <= size:
         file.seek(position)
         kind, length = struct.unpack("<BQ", file.read(9))
+        yield position, kind, length
+        position += 9 + length
+
+
+def _chunks_of_file(file: BinaryIO, size: int) -> Iterator[_Chunk]:
+    for position, kind, _ in _records(file, len(_MCAP), size):
         if kind == 0x06:
             start = file.read(32)  # times, size, checksum; then the compression, a text with its length before it
             name_length = struct.unpack_from("<I", start, 28)[0]
             name = file.read(min(name_length, 100))
             (packed,) = struct.unpack("<Q", file.read(8))
             yield _chunk(position + 9 + 40 + name_length, packed, name, size)
-        position += 9 + length
 
 
 def _chunks_of_index(file: BinaryIO, size: int) -> Iterator[_Chunk]:
     file.seek(max(0, size - 28))
     (position,) = struct.unpack("<Q", file.read(8))
-    while 0 < position + 9 <= size:
-        file.seek(position)
-        kind, length = struct.unpack("<BQ", file.read(9))
+    for _, kind, length in _records(file, position, size):
         if kind in (0x02, 0x0E):
             return
         if kind == 0x08:
@@ -243,7 +246,6 @@ def _chunks_of_index(file: BinaryIO, size: int) -> Iterator[_Chunk]:
             name = record[at + 4 : at + 4 + name_length]
             (packed,) = struct.unpack_from("<Q", record, at + 4 + name_length)
             yield _chunk(chunk_start + 9 + 40 + name_length, packed, name, size)
-        position += 9 + length
 
 
 def _chunk(start: int, length: int, name: bytes, size: int) -> _Chunk:

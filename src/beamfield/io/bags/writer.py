@@ -14,39 +14,28 @@ from beamfield.io.bags.messages import Message, MessageMaker, even_bearings, loa
 from beamfield.io.files.atomic import atomic_folder
 from beamfield.sensors import ScanLog, Track
 
-MAP_FRAME, BASE_FRAME = "map", "base_link"
+TOPIC, ODOMETRY_TOPIC = "/scan", "/odom"
+MAP_FRAME, ODOM_FRAME, BASE_FRAME = "map", "odom", "base_link"
 POSE_TOLERANCE = 1e-9
 NO_COVARIANCE = np.zeros(36)
 
 
-def write_bag(
-    path: str | Path,
-    log: ScanLog,
-    *,
-    topic: str = "/scan",
-    odometry_topic: str = "/odom",
-    odom_frame: str = "odom",
-) -> None:
+def write_bag(path: str | Path, log: ScanLog) -> None:
     """Write scans, odometry and reference poses as a ROS 2 bag (mcap), whole or not at all.
 
     The scans become sensor_msgs/LaserScan messages; the mount of each sensor a transform on /tf_static; the odometry
-    nav_msgs/Odometry messages and transforms from `odom_frame` to base_link on /tf; the reference poses transforms
-    from map to `odom_frame` at the scans' stamps, so that the chain from map to robot gives each scan's pose (without
-    odometry: from map to base_link).
+    nav_msgs/Odometry messages and transforms from odom to base_link on /tf; the reference poses transforms from map to
+    odom at the scans' stamps, so that the chain from map to robot gives each scan's pose (without odometry: from map to
+    base_link).
 
     Parameters
     ----------
     path
         The folder to make; files of the same name in it are replaced.
     log
-        What to write. Ranges become float32, stamps nanoseconds.
-    topic
-        Where the scans go. With several sensors each goes to its own name if that is a topic's name (begins with a
-        slash), else to `topic` with its number.
-    odometry_topic
-        Where the odometry goes.
-    odom_frame
-        The frame of the odometry.
+        What to write. Ranges become float32, stamps nanoseconds. The scans go to /scan, the odometry to /odom. With
+        several sensors each goes to its own name if that is a topic's name (begins with a slash), else to /scan with
+        its number.
 
     Raises
     ------
@@ -66,7 +55,7 @@ def write_bag(
     if not any(len(sensor) for sensor in log.sensors.values()):
         raise InvalidInputError(f"{log.source or 'log'}: expected scans to write, got none")
     types = load_typestore()
-    plan = _Plan(log, topic, odometry_topic, odom_frame, MessageMaker(types))
+    plan = _Plan(log, MessageMaker(types))
     messages = sorted(plan.messages(), key=lambda m: (m.nanoseconds, m.topic != "/tf_static"))
     with atomic_folder(path) as part:
         # The writer names its file after the folder that it makes.
@@ -82,9 +71,6 @@ class _Plan:
     """What goes where."""
 
     log: ScanLog
-    topic: str
-    odometry_topic: str
-    odom_frame: str
     make: MessageMaker
 
     def messages(self) -> Iterator[Message]:
@@ -109,8 +95,8 @@ class _Plan:
     def _topics(self) -> list[str]:
         names = list(self.log.sensors)
         if len(names) == 1:
-            return [self.topic]
-        return [name if name.startswith("/") else f"{self.topic}_{i}" for i, name in enumerate(names, start=1)]
+            return [TOPIC]
+        return [name if name.startswith("/") else f"{TOPIC}_{i}" for i, name in enumerate(names, start=1)]
 
     def _odometry(self, samples: Track | None) -> Iterator[Message]:
         if samples is None:
@@ -118,22 +104,22 @@ class _Plan:
         track = samples if self.log.odometry is None else self.log.odometry
         for stamp, pose in zip(track.stamps, track.poses, strict=True):
             still = self.make.new("geometry_msgs/msg/Twist", self.make.vector(0, 0, 0), self.make.vector(0, 0, 0))
-            yield self.make.at(stamp, self.odometry_topic, self.make.new(
+            yield self.make.at(stamp, ODOMETRY_TOPIC, self.make.new(
                 "nav_msgs/msg/Odometry",
-                self.make.header(stamp, self.odom_frame),
+                self.make.header(stamp, ODOM_FRAME),
                 BASE_FRAME,
                 self.make.new("geometry_msgs/msg/PoseWithCovariance", self.make.pose(pose), NO_COVARIANCE),
                 self.make.new("geometry_msgs/msg/TwistWithCovariance", still, NO_COVARIANCE),
             ))  # fmt: skip
         for stamp, pose in zip(samples.stamps, samples.poses, strict=True):
-            yield self.make.tf(self.odom_frame, BASE_FRAME, stamp, pose)
+            yield self.make.tf(ODOM_FRAME, BASE_FRAME, stamp, pose)
 
     def _reference(self, odometry: Track | None) -> Iterator[Message]:
         for name, sensor in self.log.sensors.items():
             known = np.isfinite(sensor.poses).all(axis=1)
             stamps, poses = sensor.stamps[known], sensor.poses[known]
             parents = poses if odometry is None else _corrections(name, stamps, poses, odometry)
-            child = BASE_FRAME if odometry is None else self.odom_frame
+            child = BASE_FRAME if odometry is None else ODOM_FRAME
             for stamp, parent in zip(stamps, parents, strict=True):
                 yield self.make.tf(MAP_FRAME, child, stamp, parent)
 

@@ -60,6 +60,4 @@ def fast_draws(weights: FloatArray, n: int, rng: np.random.Generator) -> NDArray
 def _at(points: FloatArray, weights: FloatArray) -> NDArray[np.int64]:
     """Return where points of [0, 1) lie on the cumulated weights."""
     sums = np.cumsum(weights)
-    if not len(points):
-        return np.empty(0, np.int64)
     return np.minimum(np.searchsorted(sums / sums[-1], points, side="right"), len(weights) - 1)

@@ -60,7 +60,7 @@ def run() -> list[dict[str, Any]]:
         rows += [
             row(name, "truth", truth, at_truth),
             row(name, "Table 6.2", BeamParameters(*thetas[-1]), trace[-1], trace),
-            row(name, "exact EM", parameters_of(em.theta), em.log_likelihood, list(em.trace[1:])),
+            row(name, "exact EM", parameters_of(em.theta), em.objective, list(em.trace[1:])),
             row(name, "beamfield", exact.parameters, exact.log_likelihood),
         ]
     return rows

@@ -12,6 +12,7 @@ from beamfield.calibration.intrinsic.em import FEWEST_BEAMS, learn_intrinsic_par
 from beamfield.calibration.intrinsic.learning_problem import SIGMA_FLOOR_SHARE, learning_problem
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
 from beamfield.calibration.intrinsic.m_steps import m_step
+from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.kernels.m_step import hit_objective, short_slopes
 from beamfield.models.beam_density import beam_log_density
@@ -122,7 +123,7 @@ def test_every_step_from_a_bad_start_climbs(name):
         for accelerate in (True, False):
             end = climb(likelihood, problem, np.array(start), tolerance=1e-10, max_iterations=60, accelerate=accelerate)
             assert_never_falls(end.trace)
-            assert np.isfinite(end.log_likelihood)
+            assert np.isfinite(end.objective)
             assert end.theta[:4].sum() == pytest.approx(1.0, abs=1e-12)
 
 
@@ -208,6 +209,21 @@ def test_an_offset_at_its_limit_is_the_maximum_there(rng, offset):
     assert found.log_likelihood == pytest.approx(beam_log_density(z, expected, 10.0, parameters).mean(), rel=1e-9)
     held = learn_intrinsic_parameters(z, expected, 10.0, hold={"range_offset": parameters.range_offset})
     assert found.log_likelihood == pytest.approx(held.log_likelihood, rel=1e-9)
+
+
+def test_priors_pull_towards_what_was_imagined_and_the_objective_never_falls():
+    z, expected, max_range, _, _ = draw("indoor", 500)
+    free = learn_intrinsic_parameters(z, expected, max_range)
+    priors = IntrinsicPriors(
+        {"z_short": 1e6, "z_hit": 1e6}, sigma_hit=0.3, sigma_beams=1e7, mean_short=0.5, short_beams=1e8
+    )
+    result = learn_intrinsic_parameters(z, expected, max_range, priors=priors)
+    assert_never_falls(result.trace)
+    assert result.parameters.sigma_hit == pytest.approx(0.3, rel=1e-3)
+    assert result.parameters.lambda_short == pytest.approx(2.0, rel=1e-2)
+    assert result.parameters.z_short == pytest.approx(0.5, abs=1e-3)
+    assert result.log_likelihood < free.log_likelihood
+    assert learn_intrinsic_parameters(z, expected, max_range, priors=IntrinsicPriors()).parameters == free.parameters
 
 
 def test_rays_that_hit_nothing_are_left_out_and_counted():
@@ -357,6 +373,14 @@ def test_impossible_input_is_named(change, text):
     beams = [arguments.pop(name) for name in ("ranges", "expected_ranges", "max_range")]
     with pytest.raises(InvalidInputError, match=text):
         learn_intrinsic_parameters(*beams, **arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"weight_counts": {"z_hot": 1.0}}, {"sigma_beams": -1.0}, {"sigma_hit": 0.0}, {"mean_short": np.nan}]
+)
+def test_impossible_priors_are_named(arguments):
+    with pytest.raises(InvalidInputError):
+        IntrinsicPriors(**arguments)
 
 
 def test_too_few_beams():

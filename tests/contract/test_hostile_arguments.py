@@ -19,6 +19,7 @@ from beamfield import geometry
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.intrinsic.block_intervals import block_intervals
 from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.calibration.selection import SelectionOptions
 from beamfield.detections import Detections
 from beamfield.errors import BeamfieldError
@@ -306,6 +307,7 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
             "block_s": 5.0,
         },
     ),
+    (IntrinsicPriors, {}),
     (SelectionOptions, {}),
     (CalibrationOptions, {}),
     (calibrate, {"log": LOG, "grid": GRID}),

@@ -227,7 +227,7 @@ def _fit(group: _Group, engine: Engine) -> GroupFit | str:
         first=first,
         intervals=intervals,
         covariance=covariance,
-        log_likelihood=end.log_likelihood,
+        log_likelihood=end.objective,
         n_beams=int(likelihood.n_beams),
         passes=likelihood.passes,
         converged=end.converged,

@@ -13,6 +13,7 @@ from beamfield.calibration.intrinsic.em import checked_beams
 from beamfield.calibration.intrinsic.jackknife import LEVEL, Jackknife
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem, learning_problem
 from beamfield.calibration.intrinsic.likelihood import N_PARAMETERS, IntrinsicLikelihood, theta_of
+from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.calibration.time_split import LONGEST_BLOCK_S, block_length, time_blocks
 from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding
@@ -71,6 +72,7 @@ def block_intervals(
     fit_offset: bool = False,
     fit_sigma_slope: bool = False,
     hold: Mapping[str, float] | None = None,
+    priors: IntrinsicPriors | None = None,
     block_s: float | None = None,
 ) -> IntervalResult:
     """Leave out one block of consecutive time after the other; how far the parameters move tells their 95% intervals.
@@ -86,7 +88,7 @@ def block_intervals(
         Time of each beam, seconds, shape (n,).
     parameters
         What was learned from all beams with the same options.
-    min_range, fit_offset, fit_sigma_slope, hold
+    min_range, fit_offset, fit_sigma_slope, hold, priors
         As `learn_intrinsic_parameters`.
     block_s
         Length of a block, seconds; None: 20 s, or a twelfth of a shorter log.
@@ -156,7 +158,12 @@ def block_intervals(
     _, blocks = np.unique(time_blocks(times, block_s)[used], return_inverse=True)
     z, expected = z[used], expected[used]
     problem = learning_problem(
-        max_range, min_range=min_range, hold=hold, fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
+        max_range,
+        min_range=min_range,
+        hold=hold,
+        priors=priors,
+        fit_offset=fit_offset,
+        fit_sigma_slope=fit_sigma_slope,
     )
     theta = problem.apply(theta_of(parameters))
     gradients, hessian = _derivatives_of_blocks(z, expected, blocks, theta, problem)

@@ -40,10 +40,10 @@ class Climb:
     ----------
     theta
         Working vector, shape (8,).
-    log_likelihood
-        Nats per beam.
+    objective
+        Log-likelihood plus log prior, nats per beam.
     trace
-        The log-likelihood at the start and after each iteration; it never falls.
+        The objective at the start and after each iteration; it never falls.
     em_steps, newton_steps
         Iterations of each kind.
     converged
@@ -51,7 +51,7 @@ class Climb:
     """
 
     theta: FloatArray
-    log_likelihood: float
+    objective: float
     trace: tuple[float, ...]
     em_steps: int
     newton_steps: int
@@ -108,7 +108,7 @@ def climb(
 
 
 class _Climber:
-    """The state of a climb: a point, its log-likelihood, and what passes at that point have found so far."""
+    """The state of a climb: a point, its objective, and what passes at that point have found so far."""
 
     def __init__(
         self,
@@ -122,13 +122,15 @@ class _Climber:
         self.theta = theta
         self.statistics: ExpectedStatistics | None = None
         self.derivatives: tuple[float, FloatArray, FloatArray] | None = None
+        prior_value, prior_gradient, prior_hessian = problem.priors.log_density(theta)
         if known is None:
             self.statistics = self._statistics(theta)
-            self.log_likelihood = self.statistics.log_likelihood
+            self.objective = self.statistics.log_likelihood + prior_value
         else:
-            self.derivatives = known
-            self.log_likelihood = known[0]
-        self.trace = [self.log_likelihood / likelihood.n_beams]
+            value, gradient, hessian = known
+            self.derivatives = value, gradient + prior_gradient, hessian + prior_hessian
+            self.objective = value + prior_value
+        self.trace = [self.objective / likelihood.n_beams]
         self.em_steps = 0
         self.newton_steps = 0
         self.at_rest = False
@@ -142,15 +144,16 @@ class _Climber:
         for share in (1.0, 0.5, 0.1):
             theta = target if share == 1.0 else self.theta + share * (target - self.theta)
             statistics = self._statistics(theta)
-            if statistics.log_likelihood >= self.log_likelihood:
+            objective = statistics.log_likelihood + self.problem.priors.log_density(theta)[0]
+            if objective >= self.objective:
                 self.em_steps += 1
-                return self._move(theta, statistics.log_likelihood, statistics=statistics)
+                return self._move(theta, objective, statistics=statistics)
         return 0.0
 
     def newton_step(self, tolerance: float) -> float | None:
         """Take one Newton step; returns the gain it promised in nats per beam, None if the likelihood rejected it."""
         if self.derivatives is None:
-            self.derivatives = self.likelihood.derivatives(self.theta)
+            self.derivatives = self._derivatives(self.theta)
         x, step, slope = self._newton_direction(self.derivatives)
         promised = slope / self.likelihood.n_beams
         if not np.isfinite(slope) or promised <= _ROUNDING * max(1.0, abs(self.trace[-1])):
@@ -158,10 +161,11 @@ class _Climber:
             return 0.0
         for share in (1.0, 0.5, 0.125):
             theta = self._valid(x + share * step)
-            derivatives = self.likelihood.derivatives(theta)
-            if derivatives[0] >= self.log_likelihood + 1e-4 * share * slope:
+            derivatives = self._derivatives(theta)
+            objective = derivatives[0] + self.problem.priors.log_density(theta)[0]
+            if objective >= self.objective + 1e-4 * share * slope:
                 self.newton_steps += 1
-                self._move(theta, derivatives[0], derivatives=derivatives)
+                self._move(theta, objective, derivatives=derivatives)
                 return promised
             if promised < tolerance:  # converged but for rounding
                 self.at_rest = True
@@ -169,7 +173,7 @@ class _Climber:
         return None
 
     def settle(self, tolerance: float) -> None:
-        """Take the Newton step that the last pass allows: the likelihood no longer tells, but the gradient does.
+        """Take the Newton step that the last pass allows: the objective no longer tells, but the gradient does.
 
         Climbs from different starts then end at the same numbers.
         """
@@ -194,24 +198,29 @@ class _Climber:
     def _move(
         self,
         theta: FloatArray,
-        log_likelihood: float,
+        objective: float,
         *,
         statistics: ExpectedStatistics | None = None,
         derivatives: tuple[float, FloatArray, FloatArray] | None = None,
     ) -> float:
-        gain = (log_likelihood - self.log_likelihood) / self.likelihood.n_beams
-        self.theta, self.log_likelihood = theta, log_likelihood
+        gain = (objective - self.objective) / self.likelihood.n_beams
+        self.theta, self.objective = theta, objective
         self.statistics, self.derivatives = statistics, derivatives
-        self.trace.append(log_likelihood / self.likelihood.n_beams)
+        self.trace.append(objective / self.likelihood.n_beams)
         return gain
 
     def _statistics(self, theta: FloatArray) -> ExpectedStatistics:
         return self.likelihood.expected_statistics(theta, slope_is_free=bool(self.problem.free[SLOPE]))
 
+    def _derivatives(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        value, gradient, hessian = self.likelihood.derivatives(theta)
+        _, prior_gradient, prior_hessian = self.problem.priors.log_density(theta)
+        return value, gradient + prior_gradient, hessian + prior_hessian
+
     def _valid(self, x: FloatArray) -> FloatArray:
         theta = x.copy()
         theta[VARIANCE] = np.exp(x[VARIANCE]) if self.problem.free[VARIANCE] else self.theta[VARIANCE]
-        if self.problem.free[:4].all():
+        if self.problem.free[:4].all() and not self.problem.priors.counts.any():
             # Whatever the other parameters are, the best z_max is the share of readings at max range: keep it exact.
             share = self.likelihood.n_max / self.likelihood.n_beams
             others = [W_HIT, W_SHORT, W_RAND]

@@ -22,6 +22,7 @@ def naive_covariance(likelihood: IntrinsicLikelihood, problem: LearningProblem, 
     directions, not to report. 0 for what is held or sits on a bound.
     """
     _, _, hessian = likelihood.derivatives(theta)
+    hessian = hessian + problem.priors.log_density(theta)[2]
     inside = problem.free & (theta > problem.lower) & (theta < problem.upper)
     basis = free_directions(inside, theta)
     root = basis @ inverse_root(-basis.T @ hessian @ basis)

@@ -14,6 +14,7 @@ from beamfield.calibration.intrinsic.climb import Climb, climb
 from beamfield.calibration.intrinsic.identifiability import Mode, identifiability_findings
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem, learning_problem
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of, theta_of
+from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.calibration.intrinsic.starts import MOST_STARTS, data_driven_starts
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding
@@ -41,12 +42,13 @@ class LearningResult:
     Parameters
     ----------
     parameters
-        The maximum-likelihood parameters.
+        The maximum-likelihood (with priors: maximum a posteriori) parameters.
     log_likelihood
-        At these parameters, nats per beam that was used.
+        At these parameters, nats per beam that was used; priors not counted.
     trace
-        The log-likelihood of all beams, at the best start and after each iteration, nats per beam. It never falls.
-        Where starts are tried on a sample of the beams (40,000 and more), the best start is what was reached there.
+        What was climbed on all beams, at the best start and after each iteration, nats per beam: the log-likelihood,
+        plus the log prior if there is one. It never falls. Where starts are tried on a sample of the beams (40,000 and
+        more), the best start is what was reached there.
     iterations, em_steps, newton_steps
         Iterations of that climb, and how many of each kind.
     converged
@@ -89,6 +91,7 @@ def learn_intrinsic_parameters(
     min_range: float = 0.0,
     initial: BeamParameters | None = None,
     hold: Mapping[str, float] | None = None,
+    priors: IntrinsicPriors | None = None,
     fit_offset: bool = False,
     fit_sigma_slope: bool = False,
     n_starts: int = MOST_STARTS,
@@ -119,6 +122,8 @@ def learn_intrinsic_parameters(
         One more start, tried first; usually not needed.
     hold
         Parameters to keep at a value, by the names of `BeamParameters`. The free weights share what held ones leave.
+    priors
+        Priors on weights, sigma_hit and lambda_short; None for maximum likelihood.
     fit_offset
         Learn `range_offset` too: the map's wall surface need not be the cell's edge.
     fit_sigma_slope
@@ -197,7 +202,7 @@ def learn_intrinsic_parameters(
         )
     _check_options(n_starts, tolerance, max_iterations)
     problem = learning_problem(
-        max_range, min_range=min_range, hold=hold, fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
+        max_range, min_range=min_range, hold=hold, priors=priors, fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
     )
     likelihood = IntrinsicLikelihood(z, expected, float(max_range), min_range=min_range, weights=counts, device=device)
     if likelihood.n_max > 0.0 and not problem.free[2] and problem.held[2] == 0.0:
@@ -225,7 +230,7 @@ def learn_intrinsic_parameters(
             report=lambda iteration: report("climbing", iteration),
         )
         climbs.append(_joined(so_far, rest) if sample is likelihood else rest)
-    climbs.sort(key=lambda item: -item.log_likelihood)
+    climbs.sort(key=lambda item: -item.objective)
     return _result(likelihood, problem, climbs, n_counted, n_excluded, n_no_measurement)
 
 
@@ -278,10 +283,10 @@ def _screen(
     for number, start in enumerate(starts):
         report("screening", number)
         ends.append(climb(sample, problem, start, tolerance=1e-8, max_iterations=max_iterations, accelerate=accelerate))
-    ends.sort(key=lambda item: -item.log_likelihood)
+    ends.sort(key=lambda item: -item.objective)
     finalists: list[Climb] = []
     for end in ends:
-        near_best = end.log_likelihood > ends[0].log_likelihood - _SCREENING_SLACK
+        near_best = end.objective > ends[0].objective - _SCREENING_SLACK
         is_new = all(_differ(end.theta, other.theta) for other in finalists)
         if near_best and is_new and len(finalists) < _MOST_FINALISTS:
             finalists.append(end)
@@ -317,7 +322,11 @@ def _result(
     for item in climbs:
         if all(_differ(item.theta, other.theta) for other in distinct):
             distinct.append(item)
-    modes = tuple(Mode(parameters_of(item.theta), item.log_likelihood) for item in distinct)
+    n = likelihood.n_beams
+    modes = tuple(
+        Mode(parameters_of(item.theta), item.objective - problem.priors.log_density(item.theta)[0] / n)
+        for item in distinct
+    )
     return LearningResult(
         parameters=modes[0].parameters,
         log_likelihood=modes[0].log_likelihood,

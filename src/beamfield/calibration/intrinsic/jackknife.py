@@ -35,14 +35,15 @@ class Jackknife:
         hessian: FloatArray,
         sizes: NDArray[np.int64],
     ) -> None:
+        _, prior_gradient, prior_hessian = problem.priors.log_density(theta)
         self.problem = problem
         self.theta = theta
         self.n_beams = int(sizes.sum())
         # At a bound they do not add up to 0: what counts is how blocks differ beside their numbers of beams.
         share = (sizes / self.n_beams)[:, None]
         self.scores = (gradients - share * gradients.sum(axis=0)) / (1.0 - share)
-        self.gradient = gradients.sum(axis=0)
-        self.hessian = hessian
+        self.gradient = gradients.sum(axis=0) + prior_gradient
+        self.hessian = hessian + prior_hessian
         # Expected beams per cause: weight times the sum of density over mixture.
         self.counts = theta[:4] * gradients[:, :4].sum(axis=0)
         self.t = float(stdtrit(len(gradients) - 1, 1.0 - _TAIL))

@@ -1,4 +1,4 @@
-"""What is learned and what is held: the free parameters and their bounds."""
+"""What is learned and what is held: the free parameters, their bounds, the priors."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from beamfield.arguments import require
 from beamfield.calibration.intrinsic.likelihood import N_PARAMETERS, OFFSET, RATE, SLOPE, VARIANCE
+from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import WEIGHTS, BeamParameters
@@ -40,7 +41,7 @@ _POSITIONS = {
 
 @dataclass(frozen=True)
 class LearningProblem:
-    """Free parameters and bounds, in the order of the working vector, (8,) each.
+    """Free parameters, bounds and priors, in the order of the working vector, (8,) each.
 
     `held` has the values of the entries that are not learned, NaN elsewhere. The sensor's limits are in metres.
     """
@@ -51,6 +52,7 @@ class LearningProblem:
     held: FloatArray
     lower: FloatArray
     upper: FloatArray
+    priors: IntrinsicPriors
 
     @property
     def span(self) -> float:
@@ -82,6 +84,7 @@ def learning_problem(
     *,
     min_range: float = 0.0,
     hold: Mapping[str, float] | None = None,
+    priors: IntrinsicPriors | None = None,
     fit_offset: bool = False,
     fit_sigma_slope: bool = False,
 ) -> LearningProblem:
@@ -120,7 +123,7 @@ def learning_problem(
     # Held values are the caller's business, also outside these bounds.
     lower = np.where(free_theta, lower, held_theta)
     upper = np.where(free_theta, upper, held_theta)
-    return LearningProblem(max_range, min_range, free_theta, held_theta, lower, upper)
+    return LearningProblem(max_range, min_range, free_theta, held_theta, lower, upper, priors or IntrinsicPriors())
 
 
 def _check_held_values(hold: Mapping[str, float]) -> None:

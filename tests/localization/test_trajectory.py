@@ -24,6 +24,7 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import drawn_readings, simulate_log
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
+from beamfield.simulation.trajectory import drive_through
 from tests.conftest import TRUTH
 
 
@@ -298,6 +299,20 @@ def test_odometry_that_is_wrong_throughout_is_followed_and_named(
     assert finding.values["scale"] == pytest.approx(1.0 / distance - 1.0, abs=0.03)
     assert {one.name for one in fit.findings if one.severity == "warning"} == named
     assert distances(fit, log).max() < 0.1
+
+
+def test_of_wheels_that_slip_sideways_neither_map_nor_ranges_are_blamed(office: OccupancyGrid):
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 60, endpoint=False), 12.0)
+    stamps = 0.25 * np.arange(200)
+    along = drive_through(office, stamps, seed=3).poses
+    poses = np.column_stack([along[:, :2], wrap_angle(0.03 * stamps)])  # whatever the way, it turns slowly
+    ranges = drawn_readings(RayCaster(office).expected_ranges(poses, finder), finder, TRUTH, np.random.default_rng(0))
+    odometry = chained(np.zeros(3), between(poses[:-1], poses[1:]) * [1.01, 1.10, 1.0])
+    fit = fit_trajectory(SensorLog(finder, stamps, ranges, poses, odometry), office, start=poses[0])
+    (finding,) = [one for one in fit.findings if one.severity == "warning"]
+    assert (finding.name, "slip sideways" in finding.why) == ("odometry-scale", True)
+    assert finding.values["ahead"] == pytest.approx(1.0 / 1.01 - 1.0, abs=0.015)
+    assert finding.values["sideways"] == pytest.approx(1.0 / 1.10 - 1.0, abs=0.015)
 
 
 @pytest.mark.parametrize(

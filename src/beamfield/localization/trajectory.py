@@ -25,7 +25,13 @@ from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.scan_parts import parts_that_disagree
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_start import Course
-from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings, scale_finding
+from beamfield.localization.trajectory_trust import (
+    MAX_DEVIATION,
+    driven_ways,
+    judge_trajectory,
+    odometry_findings,
+    scale_finding,
+)
 from beamfield.localization.turn_errors import TurnErrors, drift_at_rest, turn_errors, turn_findings, turns_of_scans
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
@@ -277,7 +283,8 @@ def fit_course(
     if any(one.name in OF_THE_ROBOT for one in before):
         seen = [one for one in seen if one.name != "wheel-slip"]
     distance = _distance_scale(fitted, wrong)
-    seen = [*(scale_finding(distance) if log.has_odometry else ()), *seen]
+    ways = driven_ways(drive, fitted.poses, cut) if wrong is None else None
+    seen = [*(scale_finding(distance, ways) if log.has_odometry else ()), *seen]
     held = drive.scans
     parts = parts_that_disagree(still[held], walls, fitted.poses[held], trusted[held])
     # Of parts that disagree the mount is not one.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.finding import Finding
-from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.geometry import FloatArray, between, wrap_angle
 from beamfield.kernels import trajectory as kernels
 from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive
@@ -30,6 +31,9 @@ SLIP, SLIP_TURN, SLIP_SIGMAS, SLIP_TIME = 0.15, np.radians(8.0), 4.0, 1.0
 GAP, GAP_STEPS = 5.0, 20.0
 # Wheels are seldom this far off; maps and units more often.
 SCALE = 0.05
+# So much further off sideways than ahead they slip. Both show in steps between scans that turn less than STRAIGHT
+# (radians) if the robot moves so many metres, and this share of its way, along either axis.
+APART, STRAIGHT, LEAST_WAY, LEAST_SHARE = 0.03, 0.1, 5.0, 0.1
 MOST_NAMED = 5
 # Scanners and wheels seldom start and end together: so small a share of scans without odometry is no reason to worry.
 FEW_UNKNOWN = 0.01
@@ -37,6 +41,13 @@ FEW_UNKNOWN = 0.01
 MOSTLY = 0.5
 # Seconds from the nearest odometry after which a robot may be anywhere.
 BRIDGED = 2.0
+
+
+class DrivenWays(NamedTuple):
+    """Relative errors of the odometry's distances: what they have to be multiplied by, less one."""
+
+    ahead: float
+    sideways: float
 
 
 def judge_trajectory(
@@ -103,9 +114,22 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> Iterato
         )  # fmt: skip
 
 
-def scale_finding(scale: float) -> Iterator[Finding]:
-    """Name a relative error of the odometry's distances, if it is large."""
-    if abs(scale) > SCALE:
+def scale_finding(scale: float, ways: DrivenWays | None = None) -> Iterator[Finding]:
+    """Name a relative error of the odometry's distances, if it is large; of a robot that also moves sideways, of each.
+
+    Its wheels slip sideways more than ahead, whatever the scale of map and ranges.
+    """
+    if ways is not None and abs(ways.sideways - ways.ahead) > APART and max(map(abs, ways)) > SCALE:
+        yield Finding(
+            "odometry-scale", "warning",
+            f"The odometry's distances are off by {-ways.ahead:+.1%} ahead and by {-ways.sideways:+.1%} sideways.",
+            {"scale": scale, "ahead": ways.ahead, "sideways": ways.sideways},
+            why="Mecanum and omni wheels slip sideways; map and ranges are not to blame, which would be wrong by the "
+            "same both ways.",
+            do="Multiply what the base's driver computes of the wheels by "
+            f"{1.0 + ways.ahead:.3f} along x and by {1.0 + ways.sideways:.3f} along y.",
+        )  # fmt: skip
+    elif abs(scale) > SCALE:
         yield Finding(
             "odometry-scale", "warning",
             f"Distances of the odometry and of scans in the map differ by {abs(scale):.1%}.", {"scale": scale},
@@ -113,6 +137,22 @@ def scale_finding(scale: float) -> Iterator[Finding]:
             "poses.",
             do="Measure a long wall, and compare it with the map and with a reading.",
         )  # fmt: skip
+
+
+def driven_ways(drive: Drive, poses: FloatArray, cut: NDArray[np.bool_]) -> DrivenWays | None:
+    """Return the relative errors of the odometry's distances along each axis of a robot that moved along both.
+
+    Poses (t, 3) are fitted; steps that are cut (t - 1,) say nothing. None if the robot moved along one axis only.
+    """
+    told, true = drive.steps_between_scans, between(poses[drive.scans[:-1]], poses[drive.scans[1:]])
+    jumps = np.concatenate([[0], np.cumsum(cut)])[drive.scans]
+    # While it turns, the chord of an arc is not along the way of a robot without such wheels.
+    straight = (np.diff(jumps) == 0) & (np.abs(told[:, 2]) < STRAIGHT)
+    told, true = told[straight, :2], true[straight, :2]
+    way = np.abs(told).sum(axis=0)
+    if not len(told) or way.min() < max(LEAST_WAY, LEAST_SHARE * way.sum()):
+        return None
+    return DrivenWays(*((true * told).sum(axis=0) / (told**2).sum(axis=0) - 1.0).tolist())
 
 
 def _agreement(drive: Drive, walls: Walls, fitted: Smoothed) -> tuple[FloatArray, FloatArray]:

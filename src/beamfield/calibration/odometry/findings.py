@@ -29,7 +29,7 @@ CORRECTIONS = {
     "distance_scale": "the wheels' radius",
     "turn_scale": "the track width (divide it by 1 + the error)",
     "drift": "the ratio of the wheels' radii",
-    "yaw": "the laser's yaw on the robot",
+    "yaw": "the laser's yaw on the robot (fast round in one direction, a car slips outwards, which looks alike)",
 }
 # Residuals below this, metres and radians: the reference was made from the odometry.
 SAME = 1e-3

@@ -1,8 +1,8 @@
 """Find what is wrong with a parameter file.
 
 Examine the measurement model in a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH: what is wrong, why it
-matters and what to do, worst first. With --map and --log it looks at what the robot really sees. Exit code 1 on errors
-and warnings, 0 on advice.
+matters and what to do, worst first. With --map and --log it looks at what the robot really sees, and replays the
+program's filter on the log: does it lose the robot? Exit code 1 on errors and warnings, 0 on advice.
 
 for example:
 

@@ -444,6 +444,8 @@ def test_beams_at_the_ends_of_a_mask_are_masked_though_bags_have_single_precisio
         ranges = read_log(path, mask=[(np.radians(first), np.radians(last))]).only_sensor().ranges[0]
         masked = np.arange(-90, 91)[np.isnan(ranges)]
         assert (masked[0], masked[-1], len(masked)) == (first, last, last - first + 1)
+    for first, last in ((-180, 180), (-400, 0)):
+        assert np.isnan(read_log(path, mask=[(np.radians(first), np.radians(last))]).only_sensor().ranges).all()
 
 
 def test_several_sensors_are_read_unless_one_is_chosen(tmp_path):

@@ -13,6 +13,7 @@ from beamfield.detection_log import DetectionLog
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import wrap_angle
+from beamfield.io.parameters.landmark_model_file import read_landmark_model
 from beamfield.landmark_noise.em import NoiseLikelihood, NoiseProblem, NoiseTheta, climb_noise, noise_starts
 from beamfield.landmark_noise.learning import learn_landmark_parameters
 from beamfield.landmark_noise.sighting_table import sighting_table
@@ -222,6 +223,14 @@ def test_intervals_of_few_blocks_are_those_of_students_t(rng):
     )
     low, high = result.intervals["sigma_range"]
     assert result.parameters.sigma_range**2 == pytest.approx(low * high)
+
+
+def test_a_result_says_and_saves_what_was_learned(rng, tmp_path):
+    result = learn(simulate(BOTH, rng, n=40), max_range=14.0)
+    assert all(name in result.summary() for name in NAMES)
+    result.save(tmp_path / "landmark_model.yaml")
+    saved = read_landmark_model(tmp_path / "landmark_model.yaml")
+    assert saved.sigma_range == pytest.approx(result.parameters.sigma_range, rel=1e-5)
 
 
 def test_a_scale_is_learned_only_where_it_is_worth_it_or_asked_for(rng):

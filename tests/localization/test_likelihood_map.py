@@ -70,6 +70,13 @@ def test_the_maximum_of_the_likelihood_field_is_where_the_scan_was_taken(grid, t
     assert_near(result.best_pose, truth)
 
 
+def test_the_picture_is_darkest_at_the_maximum(grid, truth):
+    result = likelihood_map(wide_model(grid), noisy_scan(grid, truth, finder()), grid)
+    drawn = [image.get_array() for axes in result.plot(grid).axes for image in axes.images]
+    likelihoods = next(values for values in drawn if values.shape[:2] == result.log_likelihood.shape)
+    assert np.unravel_index(np.ma.filled(likelihoods, -np.inf).argmax(), likelihoods.shape) == result.best_cell
+
+
 @pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.3)], ids=["centred", "mounted"])
 def test_values_are_the_models_at_poses_inside_their_cells(grid, truth, mount):
     scan = noisy_scan(grid, truth, finder(mount))

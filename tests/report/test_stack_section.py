@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -86,6 +87,18 @@ def replayed(*, lost: tuple[int, int] = (0, 0), is_better: bool = True, stretche
 def test_values_that_few_places_have_judged_are_named(n, is_better, names):
     found = stack_findings(replayed(is_better=is_better, stretches=n))
     assert [finding.name for finding in found] == names
+
+
+def test_random_poses_that_replay_left_out_are_named():
+    told = replayed()
+    told.replay.before = copy(told.replay.before)
+    told.replay.before.filter = copy(told.replay.before.filter)
+    told.replay.before.filter.particles = AmclFilterParameters(recovery_alpha_slow=0.001, recovery_alpha_fast=0.1)
+    told.replay.parts = {"recovery": SimpleNamespace(before=0.3, after=0.1)}
+    (found,) = stack_findings(told)
+    assert found.name == "stack-recovery"
+    assert "recovery_alpha_slow = 0, recovery_alpha_fast = 0" in found.text
+    assert "0.300 m with them, 0.100 m without" in found.why
 
 
 @pytest.mark.parametrize(

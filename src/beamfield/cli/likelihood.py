@@ -298,8 +298,10 @@ def _summary(found: Mapping[str, Any]) -> str:
         f"reference: {pose_text(reference['pose'])}; the maximum is {reference['distance_m']:.2f} m and "
         f"{math.degrees(reference['turn_rad']):.1f} deg away"
     )
-    below = math.inf if reference["below_maximum"] is None else reference["below_maximum"]
-    if below < 0.0:
+    below = reference["below_maximum"]
+    if below is None:
+        lines.append("at the reference the scan is impossible: no place compared is less likely")
+    elif below < 0.0:
         lines.append(f"the reference lies between the poses compared and is likelier still, by {-below:.2f} nats")
     else:
         likelier = round(reference["share_of_likelier_places"] * found["n_places"])

@@ -152,8 +152,9 @@ def _adjusted(log: ScanLog, mask: Sequence[tuple[float, float]], opening_angle: 
             for first, last in mask:
                 if not (math.isfinite(first) and math.isfinite(last)):
                     raise InvalidInputError(f"mask: expected finite bearings in radians, got {(first, last)!r}")
-                width = (last - first) % (2.0 * math.pi)
-                blind |= (finder.bearings - first + EDGE) % (2.0 * math.pi) <= width + 2.0 * EDGE
+                turn = 2.0 * math.pi
+                width = (last - first) % turn if last - first < turn - EDGE else turn
+                blind |= (finder.bearings - first + EDGE) % turn <= width + 2.0 * EDGE
             ranges = np.where(blind, np.nan, ranges)
             notes.append(f"{name}: {blind.sum()} of {len(blind)} beams masked")
         sensors[name] = replace(sensor, finder=finder, ranges=ranges)

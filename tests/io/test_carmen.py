@@ -241,6 +241,8 @@ def test_raw_scans_are_read_only_where_there_are_none_with_poses(tmp_path):
     alone = read_carmen(write(tmp_path, *odometry, *raw)).only_sensor()
     assert not alone.has_poses
     np.testing.assert_allclose(alone.odometry[:, 0], np.arange(4))
+    gap = read_carmen(write(tmp_path, odometry[0], odometry[3], *raw)).only_sensor()
+    np.testing.assert_allclose(gap.odometry[:, 0], [0.0, np.nan, np.nan, 3.0])
     both = read_carmen(write(tmp_path, *raw, *[robotlaser(i) for i in range(4)]))
     assert list(both.sensors) == ["ROBOTLASER1"]
     assert any("RAWLASER1: not read" in note for note in both.notes)

@@ -21,10 +21,10 @@ from beamfield.localization.scan_localizer import ScanLocalizer
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.ray_agreement import scan_agreement
 from beamfield.models.gaussian_motion import USUAL_MOTION
-from beamfield.sensors import SensorLog
+from beamfield.sensors import MAX_GAP, SensorLog
 
-# Seconds: poses of a run so far apart are interpolated; stamps of particles and of their scan may differ so much.
-MAX_GAP, SAME_TIME = 2.0, 0.02
+# Seconds by which the stamps of particles and of their scan may differ.
+SAME_TIME = 0.02
 AGREEMENT, ERROR = "filter: share of readings that agree with the map", "filter: position error [m]"
 # Of a filter that the page runs: particles, and how many of them are shown.
 PARTICLES, DRAWN_PARTICLES = 2000, 200

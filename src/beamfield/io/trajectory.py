@@ -16,12 +16,10 @@ from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, interpolate_poses, wrap_angle, yaw_from_quaternion
 from beamfield.io.files.atomic import write_file
 from beamfield.io.files.text_lines import Line, is_number, read_lines
-from beamfield.sensors import ScanLog, SensorLog, Track
+from beamfield.sensors import MAX_GAP, ScanLog, SensorLog, Track
 from beamfield.short_repr import short_repr
 
 TIME_NAMES = ("t", "time", "stamp", "timestamp", "#timestamp", "sec", "seconds")
-# A reference at the rate of the scans, or of a SLAM program, has gaps of seconds; a longer one hides motion.
-MAX_GAP = 2.0
 # More poses a stamp, on average, are no path: a filter's particles, or stamps rounded to whole seconds.
 MOST_AT_ONCE = 5
 # Files round their times; more than this is another log, or another scan of it.

@@ -19,6 +19,9 @@ from beamfield.sensors.scan import Scan
 from beamfield.short_repr import short_repr
 
 NO_POSE = np.full(3, np.nan)
+# Seconds between poses over which none is interpolated. References at the rate of the scans, or of a SLAM program, have
+# gaps of seconds; a longer one hides motion.
+MAX_GAP = 2.0
 
 
 @dataclass(frozen=True)

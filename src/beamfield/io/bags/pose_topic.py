@@ -13,14 +13,13 @@ from beamfield.geometry import FloatArray, between, compose, interpolate_poses
 from beamfield.io.bags.bag_file import BagMessage
 from beamfield.io.bags.frames import Transforms, find_fault, rotate, strip_slash
 from beamfield.io.bags.laser_scan import ordered_stamps
-from beamfield.sensors import Track
+from beamfield.sensors import MAX_GAP, Track
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSE_TYPES = (ODOMETRY, POSE_WITH_COVARIANCE, POSE_STAMPED)
 
-MAX_GAP = 2.0  # seconds without a transform or pose over which nothing is interpolated
 SPARSE = 0.2  # seconds: poses further apart than this are bridged by odometry, if there is any
 MOST_TILT_DEG = 20.0  # of the poses of a robot on the floor
 

@@ -14,8 +14,8 @@ from beamfield.geometry import FloatArray, as_poses, compose, interpolate_poses
 from beamfield.io.bags.frames import TransformBuffer, Transforms, rotate, strip_slash
 from beamfield.io.bags.laser_scan import LaserScans
 from beamfield.io.bags.namespaces import holds
-from beamfield.io.bags.pose_topic import MAX_GAP, PoseTopicCollector, poses_at
-from beamfield.sensors import Track
+from beamfield.io.bags.pose_topic import PoseTopicCollector, poses_at
+from beamfield.sensors import MAX_GAP, Track
 
 MAX_TILT = np.deg2rad(5.0)  # from here on a scan is not a cut through the map's plane: cos(5 deg) shortens it by 0.4%
 MAX_MOTION = (0.02, np.deg2rad(2.0))  # how far a mount may wander over the log, metres and radians

@@ -12,7 +12,7 @@ from beamfield.io.logs.carmen_laser import bearings, declared_max, declared_moun
 from beamfield.io.logs.carmen_messages import CarmenMessages, read_carmen_messages
 from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.logs.text_scans import DEFAULTS, LonePoses, TextOptions, TextScans, middle_mount
-from beamfield.sensors import ScanLog, SensorLog, Track
+from beamfield.sensors import MAX_GAP, ScanLog, SensorLog, Track
 
 __all__ = ["read_carmen", "write_carmen"]
 
@@ -78,7 +78,7 @@ def read_carmen(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
         follows |= placed.odometry_follows
         poses = placed.poses
         if truth is not None:
-            poses = interpolate_poses(truth.stamps, truth.poses, stamps.seconds)
+            poses = interpolate_poses(truth.stamps, truth.poses, stamps.seconds, max_gap=MAX_GAP)
             notes.append(f"{name}: reference poses are those of the TRUEPOS lines")
         radius, opening = ring_and_cone(content, name)
         sensors[name], found = scans.finish(
@@ -128,7 +128,9 @@ def _place(
     """Return the mount (3,), reference poses and odometry (t, 3), and whether the ODOM lines follow the reference."""
     name, mount = scans.name, declared_mount(content, scans.name)
     nothing = np.full((len(scans), 3), np.nan)
-    driven = nothing if odometry is None else interpolate_poses(odometry.stamps, odometry.poses, stamps)
+    driven = nothing
+    if odometry is not None:
+        driven = interpolate_poses(odometry.stamps, odometry.poses, stamps, max_gap=MAX_GAP)
     if name.startswith("RAWLASER"):
         notes.append(f"{name}: has no poses of its own; odometry is that of the ODOM lines")
         return _Placed(mount, nothing, driven)

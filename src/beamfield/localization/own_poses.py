@@ -37,25 +37,21 @@ def compare_own_poses(log: SensorLog, fit: TrajectoryFit) -> Finding | None:
     first = int(np.argmax(lost))
     scan = both[first]
     since, (x, y, _) = float(log.stamps[scan] - log.stamps[0]), fit.poses[scan]
+    where = f"with the robot at ({x:.2f} m, {y:.2f} m)"
+    said = f"leave the fitted ones {since:.1f} s after the first scan, {where}"
+    if first == 0:
+        by = f"by {off[0]:.2f} m and {np.degrees(turned[0]):.0f} degrees"
+        said = f"are wrong from their first one on, {since:.1f} s after the first scan, {by}, {where}"
+    why = "What localised the robot was lost there, or its poses are of another map's frame."
+    do = "Try the filter's parameters on this log: beamfield doctor, then beamfield calibrate --stack."
     if first == 0 and (off[0] > FAR or turned[0] > FAR_TURN):
-        where = (
-            f"The log's own poses are wrong from their first one on, {since:.1f} s after the first scan, by "
-            f"{off[0]:.2f} m and {np.degrees(turned[0]):.0f} degrees, with the robot at ({x:.2f} m, {y:.2f} m)"
-        )
         why = "The initial pose was wrong, the robot was lost before, or its poses are of another map's frame."
         do = "Look at where the initial pose comes from. beamfield evaluate runs the filter from a right one."
-    else:
-        where = (
-            f"The log's own poses leave the fitted ones {since:.1f} s after the first scan, with the robot at "
-            f"({x:.2f} m, {y:.2f} m)"
-        )
-        why = "What localised the robot was lost there, or its poses are of another map's frame."
-        do = "Try the filter's parameters on this log: beamfield doctor, then beamfield calibrate --stack."
     return Finding(
         "own-poses-lost",
         "warning",
-        f"{where}: they are more than {LOST:g} m or {np.degrees(LOST_TURN):.0f} degrees off in {lost.mean():.0%} of "
-        f"the scans, up to {off.max():.2f} m, and {off[-1]:.2f} m at the end.",
+        f"The log's own poses {said}: they are more than {LOST:g} m or {np.degrees(LOST_TURN):.0f} degrees off in "
+        f"{lost.mean():.0%} of the scans, up to {off.max():.2f} m, and {off[-1]:.2f} m at the end.",
         {**values, "first_s": since, "x_m": float(x), "y_m": float(y)},
         why=why,
         do=do,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -73,6 +74,20 @@ def test_values_that_lag_far_behind_are_a_warning_though_no_run_is_lost(office, 
     monkeypatch.setattr("beamfield.stacks.doctor.replayed.FAR", 0.01)
     finding = found(GOOD, office, drive, tmp_path)
     assert (finding.severity, finding.values["lost"]) == ("warning", 0)
+
+
+@pytest.mark.parametrize(("lost", "severity", "said"), [(1, "info", "one run may be chance"), (2, "warning", "lost")])
+def test_one_lost_run_is_put_down_to_chance(lost, severity, said, office, drive, tmp_path, monkeypatch):
+    outcomes = iter([True] * lost + [False] * 99)
+    monkeypatch.setattr(
+        "beamfield.stacks.doctor.replayed.run_trials",
+        lambda _, __, seeds, **___: SimpleNamespace(
+            errors=[SimpleNamespace(lost=next(outcomes), mean=0.1) for _ in seeds]
+        ),
+    )
+    finding = found(GOOD, office, drive, tmp_path)
+    assert (finding.severity, finding.values["lost"]) == (severity, lost)
+    assert said in finding.why
 
 
 def test_a_file_for_amcls_own_map_is_replayed_on_that_map(drive, office, tmp_path):

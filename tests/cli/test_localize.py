@@ -18,6 +18,7 @@ from beamfield.cli.inputs import OF_MOVED_MAP
 from beamfield.cli.localize_summary import run_summary
 from beamfield.cli.main import main
 from beamfield.errors import TrajectoryNotFoundError
+from beamfield.finding import Finding
 from beamfield.io.bags.writer import write_bag
 from beamfield.io.filter_run import read_run
 from beamfield.io.logs.carmen import write_carmen
@@ -314,6 +315,14 @@ def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
     (finding,) = (one for one in json.loads(said.out)["findings"] if one["name"] == "robot-lost")
     assert finding["values"]["median_agreement"] < 0.45
     assert (finding["values"]["path_length_m"] == 0.0) == (log == "still.log")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_robot_that_is_lost_at_the_end_is_a_problem_too(folder, capsys, monkeypatch):
+    finding = Finding("lost-at-end", "warning", "From 40 s after the first scan on, 20% agree.")
+    monkeypatch.setattr("beamfield.localization.lost_robot.find_lost_robot", lambda *_: finding)
+    assert run(folder) == 3
+    assert "at the end the robot is most likely lost" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -52,7 +52,11 @@ INDEPENDENT_BEAMS = 1.8
 PARTICLES = 2000
 
 # Findings after which the poses are not to be trusted.
-PROBLEMS = {"robot-lost": "the robot is most likely lost", "not-found": "the robot has not been found for sure"}
+PROBLEMS = {
+    "robot-lost": "the robot is most likely lost",
+    "lost-at-end": "at the end the robot is most likely lost",
+    "not-found": "the robot has not been found for sure",
+}
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:

@@ -11,7 +11,7 @@ import pytest
 from beamfield.errors import TrajectoryNotFoundError
 from beamfield.geometry import FloatArray, compose, interpolate_poses
 from beamfield.localization.course_choice import FoundCourse
-from beamfield.localization.scan_delay import _best_shift, scan_delay
+from beamfield.localization.scan_delay import EXPLAINED_BY_SMALL, _best_shift, scan_delay
 from beamfield.localization.trajectory import find_course, fit_course, fit_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, SensorLog
@@ -102,6 +102,17 @@ def test_a_robot_that_turns_evenly_says_nothing_of_a_delay(seed: int):
     found = _best_shift(0.02 + 0.002 * rng.normal(size=120), begin, begin + 0.2, stamps, driven)
     assert abs(found.delay) > 0.2  # by chance
     assert not found.fits
+
+
+def test_a_delay_that_moves_bumps_between_two_pairs_explains_nothing_by_that():
+    rng, stamps = np.random.default_rng(0), 0.05 * np.arange(4000)
+    headings = np.cumsum(rng.normal(0.0, 0.01, len(stamps)))
+    begin = np.arange(100, 3900, 12)  # a tenth of a second, every 0.6 s
+    turns = headings[begin + 2] - headings[begin] + rng.normal(0.0, 0.005, len(begin))
+    bumps = np.zeros(len(stamps))
+    bumps[begin[::60] + 1] = np.radians(6.0)  # the odometry turns in the first half of a pair, and the robot does not
+    found = _best_shift(turns, stamps[begin], stamps[begin + 2], stamps, headings + np.cumsum(bumps))
+    assert found.explained < EXPLAINED_BY_SMALL / 2
 
 
 def test_scans_that_are_rare_say_nothing_of_a_delay(tour: SensorLog):

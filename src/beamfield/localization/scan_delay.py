@@ -27,6 +27,8 @@ REACH, STEP = 2.0, 0.02
 LEAST_STEP = 0.001
 # Radians by which an alignment that failed or a wheel that slipped counts at most.
 OUTLIER = 0.1
+# Differences in turning that are larger than so many times the median one are of bumps, not of the stamps.
+UNUSUAL = 6.0
 # From here on it is a fault, seconds: one of 0.15 s is mostly measured as 0.14 or 0.16 s. Half the time that a scanner
 # takes for a scan is up to 0.1 s, which is named from the second number on.
 LEAST_DELAY, SMALL_DELAY = 0.13, 0.05
@@ -113,10 +115,10 @@ def _best_shift(
                            + np.interp(times + half, stamps, headings)) / 4.0)  # fmt: skip
 
     n_steps, half = round(REACH / STEP), 0.5 * float(np.median(np.diff(stamps)))
-    delays, costs = STEP * np.arange(-n_steps, n_steps + 1), np.zeros((2 * n_steps + 1, len(turns) + 1))
-    for i, delay in enumerate(delays):
-        driven = heading(end - delay) - heading(begin - delay)
-        costs[i, 1:] = np.minimum((turns - driven) ** 2, OUTLIER**2).cumsum()
+    delays = STEP * np.arange(-n_steps, n_steps + 1)
+    squares = np.array([(turns - heading(end - delay) + heading(begin - delay)) ** 2 for delay in delays])
+    costs = np.zeros((len(delays), len(turns) + 1))
+    costs[:, 1:] = np.minimum(squares, OUTLIER**2).cumsum(axis=1)
     total = costs[:, -1]
     best = before = int(total.argmin())
     left, jump = float(total[best]), 0
@@ -128,7 +130,11 @@ def _best_shift(
         best, before, left, jump = after, until, float(two[split]), split
     most = min(LEFT * float(np.minimum(turns**2, OUTLIER**2).sum()), SHARP * float(np.median(total)))
     fits = not {best, before} & {0, len(delays) - 1} and left <= most
-    explained = float(1.0 - left / max(total[n_steps], 1e-12))
+    # Few pairs of all are aligned: a delay that moves some bumps of the robot out of them explains nothing by that.
+    chosen = np.concatenate([squares[before, :jump], squares[best, jump:]])
+    most_of_one = min(OUTLIER**2, UNUSUAL**2 * float(np.median(chosen)))
+    without = max(float(np.minimum(squares[n_steps], most_of_one).sum()), 1e-12)
+    explained = 1.0 - float(np.minimum(chosen, most_of_one).sum()) / without
     return _Shift(float(delays[best]), explained, fits, jump, float(delays[before]))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from beamfield.localization.course_choice import MOST_COST, MirroredError, witho
 from beamfield.localization.drive import prepare
 from beamfield.localization.trajectory import TrajectoryFit, find_course, fit_course, fit_trajectory
 from beamfield.localization.trajectory_start import Followed, cheapest_course
-from beamfield.localization.trajectory_trust import time_gaps
+from beamfield.localization.trajectory_trust import _carried, time_gaps
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.outdated_map import find_outdated_map
@@ -177,6 +178,13 @@ def test_a_robot_that_was_carried_is_found_again_and_the_time_named(drive: Senso
     driven = np.delete(np.hypot(*np.diff(log.poses[:, :2], axis=0).T), 159).sum()
     said = re.search(r"scans, ([\d.]+) m", fit.summary())
     assert float(said.group(1)) == pytest.approx(driven, rel=0.01)
+
+
+def test_a_jump_is_as_long_as_odometry_and_scans_differ():
+    course = SimpleNamespace(jumps=[1], poses=np.array([[2.0, 1.0, np.pi / 2], [2.0, 1.5, np.pi / 2]]))
+    drive = SimpleNamespace(steps_between_scans=np.array([[0.1, 0.3, 0.2]]), scans=[0, 4])
+    (found,) = _carried(drive, course, np.arange(5.0))
+    assert found.text.startswith("4.0 s after the first scan the robot is 0.5 m and 11 degrees from where its odometry")
 
 
 def test_scans_of_a_robot_in_somebodys_hands_are_not_trusted(drive: SensorLog, office: OccupancyGrid):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.finding import Finding
-from beamfield.geometry import FloatArray, between, wrap_angle
+from beamfield.geometry import FloatArray, between, compose
 from beamfield.kernels import trajectory as kernels
 from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive
@@ -200,15 +200,16 @@ def _far_from_odometry(drive: Drive) -> NDArray[np.bool_]:
 
 
 def _carried(drive: Drive, course: Course, since: FloatArray) -> Iterator[Finding]:
+    steps = drive.steps_between_scans
     for jump in course.jumps:
-        a, b = course.poses[jump - 1], course.poses[jump]
-        distance, when = float(np.hypot(*(b - a)[:2])), float(since[drive.scans[jump]])
-        turn = abs(float(wrap_angle(b[2] - a[2])))
+        off = between(compose(course.poses[jump - 1], steps[jump - 1]), course.poses[jump])
+        distance, turn = float(np.hypot(off[0], off[1])), abs(float(off[2]))
+        when = float(since[drive.scans[jump]])
         yield Finding(
             "kidnapped", "warning",
-            f"The robot was carried {distance:.1f} m and turned by {np.degrees(turn):.0f} degrees {when:.1f} s after "
-            "the first scan, its odometry (or what stands for it, aligned scans) failed there, or the start that was "
-            "given is wrong.",
+            f"{when:.1f} s after the first scan the robot is {distance:.1f} m and {np.degrees(turn):.0f} degrees from "
+            "where its odometry (or what stands for it, aligned scans) takes it to: it was carried, the odometry "
+            "jumped, or the start that was given is wrong.",
             {"time_s": when, "distance_m": distance, "turn_rad": turn},
             why="Nothing but the scans says where it went on; they are right only if the map is distinct there.",
             do="Split the log there if that was no accident.",

@@ -120,10 +120,10 @@ def turn_findings(errors: TurnErrors | None) -> Iterator[Finding]:
             "odometry-turn-scale", "warning",
             f"Turns of the odometry are {abs(scale):.1%} too {'large' if scale > 0.0 else 'small'}, by the scans.",
             {"scale": scale, "standard_error": errors.scale_error},
-            why="The distance between the wheels, a gyro's scale or a car's steering angle is wrong, or the wheels skid: "
-            "after each turn a filter has to find its heading anew.",
-            do=f"Make the wheel separation {1.0 + scale:.3f} times as large, or divide the turns of the gyro, or of the "
-            "steering, by that; for a robot that skids, and a car in fast curves, take a gyro's turns.",
+            why="The distance between the wheels, a gyro's scale or a car's steering angle is wrong, or the wheels "
+            "skid: after each turn a filter has to find its heading anew.",
+            do=f"Make the wheel separation {1.0 + scale:.3f} times as large, or divide the turns of the gyro, or of "
+            "the steering, by that; for a robot that skids, and a car in fast curves, take a gyro's turns.",
         )  # fmt: skip
     if abs(drift) > max(DRIFT, SIGMAS * errors.drift_error):
         yield Finding(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.ray_agreement import passing_shares, ray_agreement, scan_agreement
+from beamfield.maps.ray_agreement import agreement_at, passing_shares, ray_agreement, scan_agreement
+from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, SensorLog
 
 # Four walls, 5 m from the robot in the middle.
@@ -76,3 +77,24 @@ def test_beams_that_pass_through_walls_are_a_share_of_those_that_count():
     expected = np.array([[5.0, 5.0, 8.0, 5.0], [8.0, 8.0, 8.0, 8.0], [5.0, 5.0, 5.0, 5.0]])
     # One of three that should hit something; none that should; two of four.
     assert passing_shares(z, expected, room(0.05), 8.0) == pytest.approx([1 / 3, 0.0, 0.5])
+
+
+def test_beams_of_a_sparse_sensor_without_return_say_nothing():
+    fine = RangeFinder.from_bearings(np.radians(np.linspace(-90.0, 90.0, 181)), 8.0)
+    grid = room(0.05)
+    z = RayCaster(grid).expected_ranges(MIDDLE, fine)
+
+    def agreement(lost: np.ndarray, finder: RangeFinder = fine) -> tuple[float, float]:
+        ranges = np.where(lost, np.inf, z)[:, :: 180 // (finder.n_beams - 1)]
+        log = SensorLog(finder, np.zeros(1), ranges, MIDDLE, MIDDLE)
+        one = agreement_at(log.scan(0), RayCaster(grid), MIDDLE[0])
+        return scan_agreement(log, grid, MIDDLE)[0], one
+
+    at_random = np.random.default_rng(0).random((1, 181)) < 0.6
+    assert agreement(at_random) == (1.0, 1.0)
+    # A few are lost by any laser, and where a wall is gone all are, side by side.
+    assert max(agreement(np.random.default_rng(0).random((1, 181)) < 0.2)) < 0.9
+    assert max(agreement(np.arange(181)[None] < 109)) < 0.45
+    # Between beams far apart walls end.
+    coarse = RangeFinder.from_bearings(np.radians(np.linspace(-90.0, 90.0, 13)), 8.0)
+    assert max(agreement(np.arange(181)[None] % 30 > 0, coarse)) < 0.6

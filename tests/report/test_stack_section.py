@@ -72,7 +72,7 @@ def replayed(*, lost: tuple[int, int] = (0, 0), is_better: bool = True, stretche
         filter=SimpleNamespace(
             model="beam", sensor="fitted", motion=Nav2Motion(), particles=AmclFilterParameters()
         ),
-        changes_map=False, sensor="fitted",
+        changes_map=False, key=SimpleNamespace(sensor="fitted"),
     )  # fmt: skip
     before, after = ([Runs(15, n), *[Runs(15)] * (stretches - 1)] for n in lost)
     fit = fitted()

@@ -57,6 +57,7 @@ GOOD = {f"alpha{i}": 0.02 for i in range(1, 5)}
 ABSURD = {f"alpha{i}": 2.0 for i in range(1, 5)}
 KIND = "likelihood_field_prob"
 SENSOR = Nav2Parameters(laser_model_type=KIND, max_beams=20)
+OWN = Key("before", "before", 0.0, "before")
 RUN = ReplayErrors(mean=0.1, median=0.1, p95=0.2, end=0.1, lost=False, yaw_mean_deg=1.0, yaw_median_deg=1.0,
                    yaw_p95_deg=2.0, yaw_rmse_deg=1.2, nees_median=2.4, inside=0.9, inside_noisy=0.95,
                    sd_position=0.1, particles=500.0, updates=100)  # fmt: skip
@@ -92,11 +93,11 @@ def repaired(office, stretches):
 
 def test_absurd_motion_noise_is_repaired(repaired, office):
     assert repaired.is_better
-    assert repaired.chosen.motion == "alpha 0.02"
+    assert repaired.chosen.key.motion == "alpha 0.02"
     assert repaired.chosen.filter.motion == Nav2Motion(**GOOD)
     assert repaired.error.after < 0.7 * repaired.error.before
     assert repaired.error.is_lower
-    assert repaired.chosen.shift in (0.0, 0.5 * office.resolution)
+    assert repaired.chosen.key.origin in (0.0, 0.5 * office.resolution)
     # Each part is judged for itself: the motion noise is what was wrong.
     assert repaired.parts["motion"].is_lower
     assert "sensor" not in repaired.parts
@@ -128,7 +129,7 @@ def test_a_map_painted_black_where_nothing_is_known_is_set_right(office, drive):
     asked = own, {"before": (own.model, own.sensor)}, MotionCandidates({"before": {}}, None), 0.0, stretches, black
     choice = choose_by_replay(*asked, FEW, hollow=True)
     assert choice.is_better
-    assert choice.before.key == Key("before", "before", 0.0, "before")
+    assert choice.before.key == OWN
     assert choice.chosen.key == Key("before", "before", 0.0, "before", "hollow")
     assert choice.chosen.changes_map
     assert choice.n_settings == 2
@@ -171,7 +172,7 @@ def test_poses_drawn_at_random_are_left_out_where_they_lead_astray(office, stret
     choice = choose_by_replay(
         own, {"before": (kind, sensor)}, MotionCandidates({"before": {}}, None), 0.0, stretches, office, FEW
     )
-    assert choice.chosen.recovery == recovery
+    assert choice.chosen.key.recovery == recovery
     assert choice.is_better == (recovery == "off")
     assert choice.chosen.filter.recovery_rates == ((0.0, 0.0) if recovery == "off" else (0.01, 0.99))
     assert choice.n_settings == 2
@@ -192,7 +193,7 @@ def runs(monkeypatch) -> list[int]:
 
 
 def test_seeds_that_are_missing_are_run_and_no_others(office, stretches, runs):
-    own = ReplaySetting("before", "before", 0.0, "before", nav2_filter())
+    own = ReplaySetting(OWN, nav2_filter())
     stepwise, at_once = (Replays(stretches[:1], office, 10, 7, KeptRuns()) for _ in range(2))
     first = stepwise.of([own], 1)[own.key]
     (grown,), (whole,) = stepwise.of([own], 3)[own.key], at_once.of([own], 3)[own.key]
@@ -203,8 +204,11 @@ def test_seeds_that_are_missing_are_run_and_no_others(office, stretches, runs):
 
 
 def test_models_are_made_once_or_of_large_maps_one_at_a_time(office, stretches, monkeypatch):
-    plain = ReplaySetting("before", "before", 0.0, "before", nav2_filter())
-    settings = [plain, replace(plain, shift=0.1), replace(plain, motion="alpha 0.02", filter=nav2_filter(**GOOD))]
+    plain = ReplaySetting(OWN, nav2_filter())
+    settings = [
+        plain, replace(plain, key=OWN._replace(origin=0.1)),
+        ReplaySetting(OWN._replace(motion="alpha 0.02"), nav2_filter(**GOOD)),
+    ]  # fmt: skip
     made: list[FilterSettings] = []
     emulator = FilterSettings.emulator
     monkeypatch.setattr(FilterSettings, "emulator", lambda self, grid: made.append(self) or emulator(self, grid))
@@ -252,7 +256,7 @@ def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, stretches,
     # Other inputs find nothing, and leave alone what is not theirs.
     left.write_bytes(content)
     with kept_runs(tmp_path / "cache", (*inputs[:-1], replace(FEW, seed=1))) as kept:
-        assert kept.find((0, Key("before", "before", 0.0, "before"), range(2))) is None
+        assert kept.find((0, OWN, range(2))) is None
     assert left.read_bytes() == content
 
 
@@ -268,7 +272,7 @@ def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):
 
 
 def test_where_only_the_map_is_corrected_the_verdict_says_so(repaired):
-    moved = replace(repaired.finalist, sensor="before", motion="before", shift=-0.025)
+    moved = replace(repaired.finalist, key=OWN._replace(origin=-0.025))
     said = replay_verdict(replace(repaired, finalist=moved))
     assert said.startswith("Use the corrected map with nav2's defaults: replayed")
 
@@ -399,7 +403,7 @@ def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office
     # Where nothing else helps, what came nearest is told.
     nothing = choose()
     assert not nothing.is_better
-    assert nothing.finalist.sensor == "fitted"
+    assert nothing.finalist.key.sensor == "fitted"
 
 
 def test_a_sensor_that_only_some_stretches_choose_does_not_hide_what_is_better_for_sure(office, monkeypatch):
@@ -425,7 +429,7 @@ def test_motion_noise_that_only_the_choice_likes_stays_as_it_was(office, monkeyp
     sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, sigma_hit=0.1))}
     choice = choose_by_replay(nav2_filter(), sensors, noises, 0.0, [None] * 2, office, FEW)
     assert choice.is_better
-    assert (choice.chosen.sensor, choice.chosen.motion) == ("fitted", "before")
+    assert choice.chosen.key[:2] == ("fitted", "before")
     assert set(choice.parts) == {"sensor"}
 
 
@@ -442,7 +446,7 @@ def test_without_a_sensor_that_is_not_confirmed_other_motion_noise_is_chosen(off
     sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, sigma_hit=0.1))}
     choice = choose_by_replay(nav2_filter(), sensors, noises, 0.0, [None] * 2, office, FEW)
     assert choice.is_better
-    assert (choice.chosen.sensor, choice.chosen.motion) == ("before", "same")
+    assert choice.chosen.key[:2] == ("before", "same")
 
 
 def test_the_table_says_how_often_the_truth_is_inside_without_each_part(repaired):
@@ -480,7 +484,7 @@ def test_a_little_less_where_errors_are_small_is_no_gain_unless_particles_hold_t
     give_runs(monkeypatch, lambda key: [runs(key, stretch) for stretch in ("room", "other room", "hall")])
     noises = MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
     choice = choose_by_replay(nav2_filter(), {"before": (KIND, SENSOR)}, noises, 0.0, [None] * 3, office, FEW)
-    assert choice.finalist.motion == "alpha 0.02"
+    assert choice.finalist.key.motion == "alpha 0.02"
     assert choice.cost.is_lower
     assert not choice.error.is_sure
     assert choice.is_better is is_better
@@ -577,13 +581,13 @@ def test_safe_noise_is_twice_what_the_log_shows_but_not_twice_the_floor(drive):
 
 def test_of_settings_as_good_the_one_nearest_to_safe_noise_is_taken():
     settings = [
-        ReplaySetting("before", name, 0.0, "before", nav2_filter(**{f"alpha{i}": value for i in range(1, 5)}))
+        ReplaySetting(OWN._replace(motion=name), nav2_filter(**{f"alpha{i}": value for i in range(1, 5)}))
         for name, value in (("a", 0.02), ("b", 0.05), ("c", 0.1))
     ]
 
     def chosen(*costs: float, alpha: float | None = 0.04) -> str:
         safe = None if alpha is None else Nav2Motion(**{f"alpha{i}": alpha for i in range(1, 5)})
-        return _of_equals(settings, np.array(costs), safe).motion
+        return _of_equals(settings, np.array(costs), safe).key.motion
 
     assert chosen(-2.0, -1.95, -1.99) == "b"
     assert chosen(-1.95, -1.95, -2.0) == "b"
@@ -597,10 +601,8 @@ def test_of_settings_as_good_the_one_nearest_to_safe_noise_is_taken():
 def test_of_settings_as_good_one_with_the_users_motion_model_is_taken():
     safe = Nav2Motion(**GOOD)
     settings = [
-        ReplaySetting(
-            "before", name, 0.0, "before", FilterSettings("nav2", KIND, SENSOR, motion, AmclFilterParameters())
-        )
+        ReplaySetting(OWN._replace(motion=name), FilterSettings("nav2", KIND, SENSOR, motion, AmclFilterParameters()))
         for name, motion in (("own", Nav2Motion(**ABSURD)), ("omni", replace(safe, robot_model_type=NAV2_OMNI)))
     ]
-    assert _of_equals(settings, np.array([-1.95, -2.0]), safe).motion == "own"
-    assert _of_equals(settings, np.array([-1.85, -2.0]), safe).motion == "omni"
+    assert _of_equals(settings, np.array([-1.95, -2.0]), safe).key.motion == "own"
+    assert _of_equals(settings, np.array([-1.85, -2.0]), safe).key.motion == "omni"

@@ -83,8 +83,8 @@ def filter_map_files(job: CalibrationJob, choice: ReplayChoice, grid: OccupancyG
     setting, arguments = choice.chosen, job.arguments
     if not setting.changes_map:
         return {}
-    what, why, last, files = [], [], [], {}
-    if setting.solids == HOLLOW:
+    what, why, last, files, shift = [], [], [], {}, setting.key.origin
+    if setting.key.solids == HOLLOW:
         own = setting.map_of(grid)
         # With the usual thresholds, as those of a map that knows only black and white may have no grey between them.
         cells = np.select([own.occupied, own.free], [np.float32(1.0), np.float32(0.0)], np.float32(np.nan))
@@ -98,10 +98,10 @@ def filter_map_files(job: CalibrationJob, choice: ReplayChoice, grid: OccupancyG
         image, place = image_path(arguments.map).resolve(), folder.resolve()
         # An absolute path outlives a copy of this file.
         named = image.relative_to(place) if image.is_relative_to(place) else image
-        text = moved_map_text(arguments.map, (setting.shift, setting.shift), str(named))
+        text = moved_map_text(arguments.map, (shift, shift), str(named))
         last = [f"On another computer put this file beside the picture, and write image: {file_name(image)}"]
-    if setting.shift:
-        what.append(f"its origin is moved by {setting.shift:g} m, half a cell, in x and in y")
+    if shift:
+        what.append(f"its origin is moved by {shift:g} m, half a cell, in x and in y")
         why += [
             "amcl takes the origin for the centre of the first cell, everything else for its corner. With this origin",
             "amcl has the walls where they are.",

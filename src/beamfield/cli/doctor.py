@@ -48,21 +48,11 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     """Register the command."""
     parser = add_command(subparsers, run, "doctor", __doc__)
     parser.add_argument("params", type=Path, metavar="PARAMS", help="YAML, ROS 1 launch file or MRPT ini")
-    add_file_options(parser)
+    options.add_whose_files(parser, model=True)
     options.add_map(parser)
     parser.add_argument("--log", type=Path, metavar="LOG", help=f"a log of the robot's scans: {options.LOG_FORMATS}")
     options.add_poses(parser, fitted=True)
     options.add_log(parser)
-
-
-def add_file_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say whose parameter file it is."""
-    group = parser.add_argument_group("the parameter file")
-    group.add_argument("--stack", metavar="NAME", help="nav2, ros1, beluga, mrpt or f1tenth (default: find out)")
-    group.add_argument("--model", metavar="NAME", help="measurement model (default: as the file says)")
-    group.add_argument(
-        "--section", metavar="LABEL", help="which section, if several have such parameters; its line will do"
-    )
 
 
 def run(arguments: argparse.Namespace) -> Outcome:

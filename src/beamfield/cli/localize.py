@@ -69,9 +69,6 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                         help="measurement model (default: that of the file, or likelihood_field)")  # fmt: skip
     options.add_params(parser, "a likelihood_field.yaml or beam_model.yaml from beamfield calibrate (default: typical "
                        "values), or a file of nav2 or another stack, whose filter then runs")  # fmt: skip
-    parser.add_argument("--stack", metavar="NAME",
-                        help="whose file it is: nav2, ros1, beluga, mrpt or f1tenth (default: find out)")  # fmt: skip
-    parser.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")
     options.add_range_table(parser)
     options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
     parser.add_argument(
@@ -94,6 +91,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     group.add_argument("--odometry-error", type=positive, metavar="K",
                        help="the odometry errs K times as much as usual (default: 1)")  # fmt: skip
     group.add_argument("--leave-out-short", action="store_true", help="leave out readings that are likely of people")
+    options.add_whose_files(parser)
     add_recordings(parser)
     options.add_log(parser)
     options.add_seed(parser)

@@ -75,12 +75,14 @@ def add_range_table(parser: argparse._ActionsContainer) -> None:
                         "(default: cast rays, which is exact)")  # fmt: skip
 
 
-def add_whose_files(parser: argparse.ArgumentParser) -> None:
-    """Add --stack and --section for parameter files of other programs."""
-    group = parser.add_argument_group("the parameter files")
-    group.add_argument("--stack", metavar="NAME",
-                       help="nav2, ros1, beluga, mrpt or f1tenth (default: find out for each file)")  # fmt: skip
-    group.add_argument("--section", metavar="LABEL", help="which section, if several have such parameters")
+def add_whose_files(parser: argparse.ArgumentParser, *, model: bool = False) -> None:
+    """Add --stack and --section for parameter files of other programs, and --model if another than theirs will do."""
+    group = parser.add_argument_group("parameter files of other programs")
+    group.add_argument("--stack", metavar="NAME", help="nav2, ros1, beluga, mrpt or f1tenth (default: find out)")
+    if model:
+        group.add_argument("--model", metavar="NAME", help="measurement model (default: as the file says)")
+    group.add_argument("--section", metavar="LABEL",
+                       help="which section, if several have such parameters; its line will do")  # fmt: skip
 
 
 def add_seed(parser: argparse._ActionsContainer, default: int = 0) -> None:

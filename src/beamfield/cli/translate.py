@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 
 from beamfield import __version__
 from beamfield.cli import options
-from beamfield.cli.doctor import add_file_options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, positive
 from beamfield.errors import InvalidInputError
@@ -40,7 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument(
         "--to-model", metavar="NAME", help="the other stack's model (default: the one of the same kind)"
     )
-    add_file_options(parser)
+    options.add_whose_files(parser, model=True)
     parser.add_argument("--max-range", type=positive, metavar="M", help="the sensor's longest range")
     parser.add_argument("--beams", type=count, metavar="N", help="beams in a scan, to convert decimations")
     parser.add_argument("--resolution", type=positive, metavar="M", help="side of the map's cells")

@@ -52,7 +52,8 @@ def replay_verdict(choice: ReplayChoice) -> str:
     lost = f"lost runs {_lost(before)} -> {_lost(after)}"
     own = f"{choice.before.filter.stack}'s defaults" if choice.before.filter.path is None else "the values you have"
     if choice.is_better:
-        only_map = choice.chosen.sensor == choice.chosen.motion == choice.chosen.recovery == BEFORE
+        chosen = choice.chosen.key
+        only_map = chosen.sensor == chosen.motion == chosen.recovery == BEFORE
         use = f"Use the corrected map with {own}" if only_map else "Use the new values"
         return (
             f"{use}: {where}, the position error is {choice.error.before:.3f} m before and "
@@ -80,12 +81,13 @@ def despite_error(choice: ReplayChoice, part: str) -> str:
 
 def describe(setting: ReplaySetting) -> str:
     """Return where the values of a setting come from."""
-    if setting.sensor == setting.motion == setting.recovery == BEFORE and not setting.changes_map:
+    key = setting.key
+    if key.sensor == key.motion == key.recovery == BEFORE and not setting.changes_map:
         return "the values before"
-    parts = [f"sensor {setting.sensor}", f"motion noise {setting.motion}"]
-    parts += [f"map's origin {setting.shift:+g} m"] if setting.shift else []
-    parts += ["map's black areas unknown"] if setting.solids != BEFORE else []
-    return ", ".join([*parts, *([f"recovery {setting.recovery}"] if setting.recovery != BEFORE else [])])
+    parts = [f"sensor {key.sensor}", f"motion noise {key.motion}"]
+    parts += [f"map's origin {key.origin:+g} m"] if key.origin else []
+    parts += ["map's black areas unknown"] if key.solids != BEFORE else []
+    return ", ".join([*parts, *([f"recovery {key.recovery}"] if key.recovery != BEFORE else [])])
 
 
 def replay_as_dict(choice: ReplayChoice) -> dict[str, Any]:
@@ -167,12 +169,13 @@ def _inside(trials: Sequence[ReplayTrials]) -> float:
 
 
 def _setting_as_dict(setting: ReplaySetting) -> dict[str, Any]:
+    key = setting.key
     return {
-        "sensor": setting.sensor,
-        "motion": setting.motion,
-        "origin_shift": setting.shift,
-        "black_areas_unknown": setting.solids != BEFORE,
-        "recovery": setting.recovery,
+        "sensor": key.sensor,
+        "motion": key.motion,
+        "origin_shift": key.origin,
+        "black_areas_unknown": key.solids != BEFORE,
+        "recovery": key.recovery,
         "parameters": {**asdict(setting.filter.sensor), **asdict(setting.filter.motion)},
     }
 

@@ -114,14 +114,14 @@ def _about_map(result: StackResult) -> Iterator[Finding]:
     if result.replay is None or not result.replay.chosen.changes_map:
         return
     replay, stack = result.replay, result.chosen.model.stack
-    setting = replay.chosen
+    key = replay.chosen.key
     what, why = [], []
-    if setting.solids == HOLLOW:
+    if key.solids == HOLLOW:
         what.append("unknown where it is painted black far from what is free")
         why.append(f"{stack}'s field is as high inside of solids as on a wall: poses fit whose readings end there."
                    + _error_without(replay, "solids", "black inside"))  # fmt: skip
-    if setting.shift:
-        what.append(f"with its origin moved by {setting.shift:g} m")
+    if key.origin:
+        what.append(f"with its origin moved by {key.origin:g} m")
         why.append(f"{stack} reads maps half a cell off." + _error_without(replay, "origin", "at its own origin"))
     if not replay.parts.keys() & {"solids", "origin"}:
         why.append("The file says that its values were chosen for it: all were replayed with it (--keep-map: yours).")
@@ -129,7 +129,7 @@ def _about_map(result: StackResult) -> Iterator[Finding]:
         "stack-map",
         "info",
         f"The values go with amcl_map.yaml, your map {', and '.join(what)}.",
-        {"shift_m": setting.shift, "hollow": float(setting.solids == HOLLOW)},
+        {"shift_m": key.origin, "hollow": float(key.solids == HOLLOW)},
         why=" ".join(why),
         do="Let a second map_server publish it on a topic that amcl alone takes; all else needs your map as it is.",
     )

@@ -62,7 +62,7 @@ class StackResult:
     @property
     def trial(self) -> Trial:
         """The sensor's values to use: those before or those fitted."""
-        keeps = self.replay is not None and self.replay.chosen.sensor == BEFORE
+        keeps = self.replay is not None and self.replay.chosen.key.sensor == BEFORE
         return self.chosen.before if keeps else self.chosen.chosen
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import chain, product
+from itertools import chain, product, starmap
 from math import log
 from typing import Any
 
@@ -148,18 +148,12 @@ def choose_by_replay(
     solid = HOLLOW if hollow else BEFORE
     origins, insides = (dict.fromkeys((right,) if is_moved else (plain, right))
                         for plain, right in ((0.0, shift), (BEFORE, solid)))  # fmt: skip
-    settings = {
-        Key(sensor, motion, origin, recovery, solids): ReplaySetting(
-            sensor, motion, origin, recovery,
-            replace(
-                of_recovery, model=sensors[sensor][0], sensor=sensors[sensor][1],
-                motion=replace(before.motion, **motions.by_name[motion]),
-            ),
-            solids,
-        )
-        for sensor, motion, origin, solids, (recovery, of_recovery)
-        in product(sensors, motions.by_name, origins, insides, recoveries.items())
-    }  # fmt: skip
+    settings = {}
+    for key in starmap(Key, product(sensors, motions.by_name, origins, recoveries, insides)):
+        model, sensor = sensors[key.sensor]
+        motion = replace(before.motion, **motions.by_name[key.motion])
+        values = replace(recoveries[key.recovery], model=model, sensor=sensor, motion=motion)
+        settings[key] = ReplaySetting(key, values)
     its = Key(BEFORE, BEFORE, shift, BEFORE, solid) if is_moved else Key(BEFORE, BEFORE, 0.0, BEFORE)
     own, right = settings[its], (shift, [*recoveries][-1], solid)
     raced = [one for one in settings.values() if one.key[2:] == right or one is own]
@@ -222,7 +216,8 @@ def choose_by_replay(
             simpler = [settings[one] for one in keys]
             rest = judge(settings[key], simpler)
             choice, crossed = (rest, simpler) if rest.is_better else (choice, crossed)
-    others = {one.sensor for one in crossed} - {BEFORE} if finalist.sensor == BEFORE else {finalist.sensor}
+    of_finalist = finalist.key.sensor
+    others = {one.key.sensor for one in crossed} - {BEFORE} if of_finalist == BEFORE else {of_finalist}
     if not others or (choice.is_better and _is_confirmed(choice, "sensor")):
         return choice
     # What is not better for sure, as a sensor that loses a few robots, must not hide what is; nor must one that only
@@ -249,8 +244,8 @@ def _race(settings: list[ReplaySetting], replays: Replays, progress: Progress | 
     left = best_first(settings, FIRST_SEEDS, f"racing {len(settings)} settings")[:KEPT]
     left = best_first(left, some, f"racing the best {len(left)}")
     best = left[0]
-    others = [one for one in left if one.sensor != best.sensor][:1]
-    left = [one for one in settings if one.key._replace(motion=best.motion) == best.key]
+    others = [one for one in left if one.key.sensor != best.key.sensor][:1]
+    left = [one for one in settings if one.key._replace(motion=best.key.motion) == best.key]
     return best_first(left, some, "comparing motion noise")[:LAST] + others
 
 
@@ -268,7 +263,8 @@ def _of_equals(settings: Sequence[ReplaySetting], cost: FloatArray, safe: Any) -
         motion = settings[i].filter.motion
         return _kind(motion) != _kind(safe), abs(log(_noise(motion) / _noise(safe))), float(cost[i])
 
-    as_good = [i for i, one in enumerate(settings) if one.sensor == best.sensor and cost[i] <= cost.min() + AS_GOOD]
+    sensor, most = best.key.sensor, cost.min() + AS_GOOD
+    as_good = [i for i, one in enumerate(settings) if one.key.sensor == sensor and cost[i] <= most]
     return settings[min(as_good, key=apart)]
 
 

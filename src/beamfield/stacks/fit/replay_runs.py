@@ -36,11 +36,11 @@ class Key(NamedTuple):
     """What tells settings apart."""
 
     sensor: str
-    """Name of the sensor's values."""
+    """Name of the sensor's values: "before" for the user's."""
     motion: str
-    """Name of the motion's values."""
+    """Name of the motion's values: "before" for the user's."""
     origin: float
-    """Shift of the map's origin, metres."""
+    """What is added to the map's x and y origin, metres."""
     recovery: str
     """Whether poses are drawn at random when the weights drop: "before" as the user has it, or "off"."""
     solids: str = "before"
@@ -49,42 +49,19 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReplaySetting:
-    """One setting of everything that is chosen.
+    """One setting of everything that is chosen: where its values come from, and all parameters."""
 
-    Parameters
-    ----------
-    sensor, motion
-        Where its parameters come from: "before" for the user's.
-    shift
-        What is added to the map's x and y origin, metres.
-    recovery
-        "before" as the user has it, or "off".
-    filter
-        All parameters.
-    solids
-        "before", or "hollow" if they are unknown inside.
-    """
-
-    sensor: str
-    motion: str
-    shift: float
-    recovery: str
+    key: Key
     filter: FilterSettings
-    solids: str = "before"
-
-    @property
-    def key(self) -> Key:
-        """What tells it from others."""
-        return Key(self.sensor, self.motion, self.shift, self.recovery, self.solids)
 
     @property
     def changes_map(self) -> bool:
         """Whether the filter's map is another than the user's."""
-        return bool(self.shift) or self.solids == HOLLOW
+        return bool(self.key.origin) or self.key.solids == HOLLOW
 
     def map_of(self, grid: OccupancyGrid) -> OccupancyGrid:
         """Return the filter's map, given the user's."""
-        return shifted_map(hollowed(grid) if self.solids == HOLLOW else grid, self.shift)
+        return shifted_map(hollowed(grid) if self.key.solids == HOLLOW else grid, self.key.origin)
 
 
 class Replays:
@@ -148,7 +125,8 @@ class _Asked(NamedTuple):
     @property
     def model(self) -> tuple[str, float, str]:
         """What tells measurement models on their maps apart."""
-        return self.setting.sensor, self.setting.shift, self.setting.solids
+        key = self.setting.key
+        return key.sensor, key.origin, key.solids
 
 
 class _RunsOnStretches:

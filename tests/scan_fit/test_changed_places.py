@@ -155,6 +155,16 @@ def test_maps_and_poses_that_move_together_change_nothing(changed):
         assert one.readings == pytest.approx(other.readings, rel=0.1)
 
 
+def test_walls_from_which_as_many_beams_do_not_return_as_elsewhere_are_no_glass():
+    log = with_glass(drive(MAP))
+    lost = np.random.default_rng(1).random(log.ranges.shape) < 0.6
+    sparse = replace(log, ranges=np.where(lost, np.inf, log.ranges))
+    model = replace(MODEL, z_hit=0.36, z_max=0.57)
+    place = only(find_changed_places(sparse, MAP, model), "no return (glass?)")
+    assert (place.x, place.y) == pytest.approx((3.25, 0.05), abs=0.3)
+    assert place.rate > 0.9
+
+
 def test_one_visit_is_too_few():
     found = find_changed_places(drive(WORLD, 20.0), MAP, MODEL, block_s=20.0)
     assert found.lasting == found.findings == ()

@@ -39,6 +39,8 @@ LASTING: dict[Reading, Kind] = {
 
 # A square differs in a visit if so many of its beams do. A table leg fills a fifth of a square.
 SHORT_SHARE, WALL_SHARE = 0.1, 0.5
+# A sensor that loses many beams does so at all walls: one is glass where so many times as many do not return.
+TIMES_Z_MAX = 1.5
 # How long somebody stands in one place, and how long an error of the poses lasts: on average, seconds.
 STAY_S, POSE_ERROR_S = 30.0, 5.0
 # A place differs for good from this probability on, in at least two visits.
@@ -198,7 +200,8 @@ def find_changed_places(
     - A reading is short if the model does not call it a hit, and its end point lies in free space, farther from every
       mapped obstacle than three standard deviations of pose and range together. A reading is beyond a wall if it is
       longer, by as much, than the expected range of all rays within two standard deviations of the pose. A beam whose
-      expected range changes by more within these, as at grazing incidence, says nothing about the wall.
+      expected range changes by more within these, as at grazing incidence, says nothing about the wall. Walls are
+      glass from which half of the beams do not return, or half as many again as z_max says of all.
     - Visits count, not beams: a person who stands somewhere once makes five hundred readings in one visit, furniture
       some in every visit. How often windows of 0.5 m differ is a mixture of two kinds, learned from all windows that
       beams crossed: those that differ for good, and all others, where what comes may stand still for half a minute. A
@@ -236,12 +239,13 @@ def find_changed_places(
     beams = judge_beams(
         log, grid, parameters, used, reference_error=reference_error, longest_error=lattice.side, block_s=visit_s
     )
+    silent = max(WALL_SHARE, min(TIMES_Z_MAX * parameters.z_max, 1.0))
     places = [
         place
         for evidence in (
             _Evidence("short", beams, lattice, beams.short, beams.ends, SHORT_SHARE, visit_s / STAY_S),
             _Evidence("beyond", beams, lattice, beams.through, beams.walls, WALL_SHARE, visit_s / POSE_ERROR_S),
-            _Evidence("no return", beams, lattice, beams.silent, beams.walls, WALL_SHARE, visit_s / POSE_ERROR_S),
+            _Evidence("no return", beams, lattice, beams.silent, beams.walls, silent, visit_s / POSE_ERROR_S),
         )
         for place in _places(evidence)
     ]

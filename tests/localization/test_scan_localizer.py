@@ -10,6 +10,7 @@ import pytest
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import between
 from beamfield.io.read_map import read_map
+from beamfield.localization.mapped_area import MappedArea
 from beamfield.localization.particle_filter import FilterOptions
 from beamfield.localization.recovery import Recovery
 from beamfield.localization.replay import PoseBelief, judge_replay, reference_start
@@ -188,6 +189,22 @@ def test_a_robot_that_is_found_late_is_told_from_one_that_is_not_found(localizer
     assert late.name == "not-found"
     assert late.text.startswith("The filter is sure of its place, but only for the last ")
     assert 1 <= late.values["count"] < 12
+
+
+def test_guesses_before_the_robot_is_found_are_no_drives_beyond_the_map(localizer, drive, monkeypatch):
+    judged = []
+
+    def is_beyond(area, poses):
+        judged.append(poses)
+        return area_is_beyond(area, poses)
+
+    area_is_beyond = MappedArea.is_beyond
+    monkeypatch.setattr(MappedArea, "is_beyond", is_beyond)
+    found = run(replace(localizer, n_anywhere=20_000), drive, start=None)
+    narrow = (found.covariances[:, [0, 1], [0, 1]].sum(axis=1) <= 0.25) & (found.covariances[:, 2, 2] <= 0.25)
+    first = found.updates[narrow][0]
+    assert first > 0
+    np.testing.assert_array_equal(judged[-1], found.poses[first:])
 
 
 @pytest.mark.real

@@ -162,8 +162,8 @@ class ScanLocalizer:
         # Of the clouds, which are large, mean and covariance are kept.
         used, clouds, sizes, seconds = [], list[Estimate](), [], []
         counts = Counter[str]()
-        # The last scan given to the filter.
-        given = -1
+        # The last scan given to the filter, and the first at which it was sure of its place.
+        given, sure = -1, 0
         for i, scan in enumerate(log):
             if not np.isfinite(log.odometry[i]).all():
                 counts["no-odometry"] += 1
@@ -197,6 +197,7 @@ class ScanLocalizer:
                     if watch is not None:
                         watch(i, update)
             poses[i] = own.pose
+            sure = sure if own.is_found else i + 1
         counts["odometry-jumps"] += own.odometry_jumps
         proving = JUDGED_SCANS if searched_from > 0 else PROVING_SCANS
         is_judged = own.is_found and coarse is not None and log.finder.opening_angle == 0.0
@@ -204,7 +205,8 @@ class ScanLocalizer:
         counts["found-late"] = place.n_scans if is_late else 0
         counts["not-found"] = int(not own.is_found or (is_late and place.n_scans == 0))
         # Where it was taken to be before it was found, or found elsewhere, says nothing.
-        known = poses[searched_from:][np.isfinite(poses[searched_from:]).all(axis=1)]
+        known = poses[max(searched_from, sure) :]
+        known = known[np.isfinite(known).all(axis=1)]
         n_beyond = int(self._area.is_beyond(known).sum())
         counts["beyond-map"] = n_beyond if n_beyond > FEW * len(log) and own.is_found and not is_late else 0
         counts["stamps-back"] = int((np.diff(log.stamps) < 0.0).sum())

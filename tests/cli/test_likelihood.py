@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from beamfield.cli.likelihood import _summary
 from beamfield.cli.main import main
 from beamfield.geometry import between
 from beamfield.io.logs.carmen import write_carmen
@@ -104,6 +105,13 @@ def test_a_field_finds_the_robot_where_the_unknown_is_painted_black(folder, tmp_
     assert run(tmp_path, "--model", "likelihood_field", map_name="black.yaml") == 0
     away = re.search(r"the maximum is ([0-9.]+) m and ([0-9.]+) deg away", capsys.readouterr().out)
     assert float(away[1]) <= 0.3
+
+
+def test_a_reference_at_which_the_scan_is_impossible_is_said_to_be_one():
+    reference = {"pose": [0.0] * 3, "distance_m": 2.0, "turn_rad": 0.0, "below_maximum": None}
+    found = {"n_poses": 8, "n_places": 4, "n_headings": 2, "resolution_m": 0.1, "rival": None, "reference": reference,
+             "maximum": {"pose": [2.0, 0.0, 0.0], "log_likelihood": -3.0}}  # fmt: skip
+    assert "at the reference the scan is impossible" in _summary(found).splitlines()[-1]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -67,8 +67,8 @@ def scan_agreement(
 
     It is the share of the beams that should hit something, or of three quarters of those that do where that is more:
     where most beams should see nothing, readings of people would outvote the walls. Of sparse sensors only beams that
-    return count. NaN for scans without such beams or
-    a pose (t, 3), and for those that are left out. The caster is of the map, where it is there already.
+    return count. NaN for scans without such beams or a pose (t, 3), and for those that are left out. The caster is of
+    the map, where it is there already.
     """
     scans = _spread(np.flatnonzero(np.isfinite(poses).all(axis=1)), most)
     z, expected = _readings(log, caster or RayCaster(grid), poses[scans], scans)

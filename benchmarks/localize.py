@@ -1,4 +1,4 @@
-"""Localize real and simulated logs with the particle filter as the command does it, and print eight tables.
+"""Localize real and simulated logs with the particle filter as the command does it, and print nine tables.
 
 Run: python benchmarks/localize.py [FOLDER [SEEDS [TABLE ...]]]
 
@@ -6,8 +6,9 @@ FOLDER holds the logs and maps (default: ../shared/data beside the checkout). Th
 of this repository. The first table follows robots from a start known to 0.5 m and 15 degrees, and finds them from
 anywhere; the second does so with what Wean Hall 1 teaches; the third starts in the middle of its logs, too; the fourth
 does so in other buildings; the fifth compares the right place of Wean Hall 5 with a rival; the sixth has other
-exponents; the seventh leaves out readings of people; the eighth finds robots again that were carried elsewhere. TABLE
-is accuracy, calibrated, starts, elsewhere, rival, exponents, people or recovery.
+exponents; the seventh leaves out readings of people; the eighth finds robots again that were carried elsewhere; in the
+ninth the odometry's distances are too long or too short. TABLE is accuracy, calibrated, starts, elsewhere, rival,
+exponents, people, recovery or wheels.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from beamfield.calibration.context.exponent import learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
 from beamfield.cli.calibrate_choice import name_of, with_better_exponent
 from beamfield.cli.localize import DEFAULT_BEAMS, INDEPENDENT_BEAMS
-from beamfield.geometry import FloatArray, between, compose
+from beamfield.geometry import FloatArray, between, chained, compose
 from beamfield.kernels.threads import set_threads
 from beamfield.localization.coarse_model import CoarseModel
 from beamfield.localization.model_choice import choose_model
@@ -363,8 +364,40 @@ def ends_right(localizer: ScanLocalizer, log: SensorLog, seed: int) -> bool:
     return bool((off < FOUND_WITHIN).mean() > 0.95)
 
 
+# By how much odometry's distances are too long.
+TOO_LONG = (-0.1, -0.05, 0.0, 0.05, 0.1)
+
+
+def wheels(folder: Path, seeds: int) -> list[dict[str, Any]]:
+    """Return errors with noise alone, and with a relative error of distances in each particle."""
+    logs = {name: read_log_and_map(folder, *LOGS[name]) for name in LOGS} | offices()
+    rows = []
+    for name, (log, grid) in logs.items():
+        with_scale = localizer_of("likelihood field", grid)
+        alone = replace(with_scale, options=FilterOptions())
+        row: dict[str, Any] = {"log": name}
+        for too_long in TOO_LONG:
+            worn = with_worn_wheels(log, too_long)
+            both = [followed(localizer, worn, seeds) for localizer in (alone, with_scale)]
+            row[f"{too_long:+.0%} [m]"] = ", ".join(f"{np.mean([one.mean for one in runs]):.3f}" for runs in both)
+        rows.append(row)
+        print(row, file=sys.stderr, flush=True)
+    return rows
+
+
+def with_worn_wheels(log: SensorLog, too_long: float) -> SensorLog:
+    """Return a log whose odometry's distances are longer by a share."""
+    known = np.flatnonzero(np.isfinite(log.odometry).all(axis=1))
+    steps = between(log.odometry[known[:-1]], log.odometry[known[1:]])
+    steps[:, :2] *= 1.0 + too_long
+    odometry = np.array(log.odometry)
+    odometry[known] = chained(odometry[known[0]], steps)
+    return replace(log, odometry=odometry)
+
+
 TABLES = {
-    table.__name__: table for table in (accuracy, calibrated, starts, elsewhere, rival, exponents, people, recovery)
+    table.__name__: table
+    for table in (accuracy, calibrated, starts, elsewhere, rival, exponents, people, recovery, wheels)
 }
 
 

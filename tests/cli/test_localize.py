@@ -136,7 +136,8 @@ def test_json_has_what_the_docs_list(folder, capsys):
     assert run(folder, "--json", "-q") == 0
     found = document(capsys)
     assert {"filter", "start", "n_scans", "n_updates", "mean_particles", "updates_per_second", "last_pose",
-            "last_spread_m", "sure_after_s", "errors", "found_after_s", "findings"} <= set(found)  # fmt: skip
+            "last_spread_m", "distance_scale", "sure_after_s", "errors", "found_after_s",
+            "findings"} <= set(found)  # fmt: skip
     assert found["n_scans"] == 120
     assert 0 < found["n_updates"] < 120
 

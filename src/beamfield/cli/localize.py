@@ -225,13 +225,16 @@ def _filter(
 
 
 def _localizer(model: Any, grid: OccupancyGrid, arguments: argparse.Namespace) -> ScanLocalizer:
+    from beamfield.localization.distance_scale import DistanceScale
     from beamfield.localization.particle_filter import FilterOptions
     from beamfield.localization.scan_localizer import ScanLocalizer
     from beamfield.localization.short_readings import ShortReadings
     from beamfield.models.gaussian_motion import USUAL_MOTION, GaussianMotion
 
-    filter_options = FilterOptions(n_particles=arguments.particles or PARTICLES)
     times = arguments.odometry_error or 1.0
+    filter_options = FilterOptions(
+        n_particles=arguments.particles or PARTICLES, distance_scale=DistanceScale().times(times)
+    )
     motion = GaussianMotion(**{name: times * value for name, value in asdict(USUAL_MOTION).items()})
     return ScanLocalizer(
         grid,

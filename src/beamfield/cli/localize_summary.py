@@ -28,6 +28,7 @@ def run_facts(
 
     `of_poses` are findings on the reference poses.
     """
+    scale = found.distance_scale
     spread = np.sqrt(np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2))
     is_sure = not any(finding.name in ("robot-lost", "not-found") for finding in found.findings)
     sure = sure_from(found) if is_sure else None
@@ -41,6 +42,7 @@ def run_facts(
         "updates_per_second": 1.0 / seconds if seconds > 0.0 else None,
         "last_pose": [float(value) for value in found.poses[np.isfinite(found.poses).all(axis=1)][-1]],
         "last_spread_m": float(spread[-1]),
+        "distance_scale": None if scale is None else scale._asdict(),
         "sure_after_s": None if sure is None else float(log.stamps[sure] - log.stamps[0]),
         "errors": None if errors is None else asdict(errors),
         "found_after_s": None if errors is None else _found_after(found, log),

@@ -13,6 +13,7 @@ from beamfield.errors import FormatError, InvalidInputError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, interpolate_poses
 from beamfield.io.filter_run import FilterRun, read_run
+from beamfield.localization.distance_scale import DistanceScale
 from beamfield.localization.lost_robot import find_lost_robot
 from beamfield.localization.particle_filter import FilterOptions, Update
 from beamfield.localization.replay import PoseBelief
@@ -83,7 +84,8 @@ def run_from(log: SensorLog, grid: OccupancyGrid, model: Any, i: int, pose: tupl
         cloud = update.belief
         particles[i + at] = cloud.poses[systematic_indices(cloud.weights, DRAWN_PARTICLES, rng)]
 
-    localizer = ScanLocalizer(grid, model, USUAL_MOTION, FilterOptions(n_particles=PARTICLES))
+    options = FilterOptions(n_particles=PARTICLES, distance_scale=DistanceScale())
+    localizer = ScanLocalizer(grid, model, USUAL_MOTION, options)
     found = localizer.run(log[i:], PoseBelief.around(pose), np.random.default_rng(0), watch=watch)
     poses = np.full((len(log), 3), np.nan)
     poses[i:] = found.poses

@@ -8,6 +8,7 @@ from beamfield.lazy_names import lazy_names
 
 _NAMES = {
     "coarse_model": ("CoarseModel",),
+    "distance_scale": ("DistanceScale",),
     "fitted_poses": ("cross_fit_poses",),
     "model_choice": ("choose_model",),
     "search_window": ("SearchWindow",),

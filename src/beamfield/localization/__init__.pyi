@@ -7,6 +7,7 @@ from beamfield.localization.model_choice import choose_model as choose_model
 from beamfield.localization.search_window import SearchWindow as SearchWindow
 from beamfield.localization.particle_filter import FilterOptions as FilterOptions
 from beamfield.localization.coarse_model import CoarseModel as CoarseModel
+from beamfield.localization.distance_scale import DistanceScale as DistanceScale
 from beamfield.localization.particles import belief_poses as belief_poses, free_poses as free_poses
 from beamfield.localization.recovery import (
     FreePoses as FreePoses,

@@ -14,6 +14,7 @@ from beamfield.arguments import as_count, as_floats, as_generator, check_fields,
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, Pose, after_step, as_poses, pose_rows, step_between
 from beamfield.localization.continuous_odometry import ContinuousOdometry
+from beamfield.localization.distance_scale import DistanceScale, ScaleEstimate
 from beamfield.localization.particles import Estimate, Particles
 from beamfield.localization.recovery import LikelihoodAverages, PoseSource, Recovery, reweigh
 from beamfield.localization.resampling import IndexArray, KldSampling, draw_enough, systematic_indices
@@ -54,6 +55,8 @@ class FilterOptions:
         the particle that happens to lie nearest to one of many peaks. 0: never.
     recovery
         Draw poses anew when measurements fit worse than they did; needs a source of poses.
+    distance_scale
+        How far off all of the odometry's distances may be alike; None: they have the motion model's noise alone.
 
     Raises
     ------
@@ -68,6 +71,7 @@ class FilterOptions:
     resample_below: float = 0.5
     least_effective: float = 0.02
     recovery: Recovery | None = None
+    distance_scale: DistanceScale | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -208,6 +212,7 @@ class ParticleFilter(Generic[Z]):
         # Copies: the caller may fill the same arrays again.
         given = None if weights is None else np.array(as_floats(weights, "weights"))
         self._belief = Particles(np.array(as_poses(poses), order="C"), given)
+        self._scales = self._drawn_scales(len(self._belief))
         self._coarse = coarse
         self._odometry = ContinuousOdometry()
         self._used: Pose | None = None
@@ -244,6 +249,19 @@ class ParticleFilter(Generic[Z]):
         return self._belief is not None and self._coarse is None
 
     @property
+    def distance_scale(self) -> ScaleEstimate:
+        """The relative error of the odometry's distances: 0, and sure of it, without a `DistanceScale`.
+
+        Raises
+        ------
+        InvalidInputError
+            Before `start`.
+        """
+        weights = self.belief.weights
+        mean = float(weights @ self._scales)
+        return ScaleEstimate(mean, math.sqrt(float(weights @ np.square(self._scales - mean))))
+
+    @property
     def odometry_jumps(self) -> int:
         """Steps of the odometry that no robot can have made, and that were not followed."""
         return self._odometry.jumps
@@ -276,7 +294,7 @@ class ParticleFilter(Generic[Z]):
             raise InvalidInputError(f"odometry: expected (x, y, theta), got shape {pose.shape}")
         if not self._odometry.add(pose, stamp) or not self._has_moved():
             return None
-        moved = self._moved(belief)
+        moved, scales = self._moved(belief)
         if self._short is not None and isinstance(z, Scan):
             z = self._short.leave_out(z, moved, self._rng)  # type: ignore[assignment]  # a scan is what Z is
         model = self._model if self._coarse is None else self._coarse
@@ -289,7 +307,7 @@ class ParticleFilter(Generic[Z]):
             self._averages.add(log_evidence)
         if not self.is_found and _is_narrow(weighed.whole):
             self._coarse = None
-        self._belief, n_replaced = self._drawn(weighed, effective, z)
+        self._belief, self._scales, n_replaced = self._drawn(weighed, scales, effective, z)
         self._used, self._jumps_used = self._odometry.pose, self._odometry.jumps
         x, y, theta = weighed.best_cluster.pose.tolist()
         self._at_used = x, y, theta
@@ -301,25 +319,32 @@ class ParticleFilter(Generic[Z]):
         ahead, left, turn = step_between(self._used, self._odometry.pose)
         return bool(math.hypot(ahead, left) >= self.options.update_distance or abs(turn) >= self.options.update_turn)
 
-    def _moved(self, belief: Particles) -> Particles:
-        """Return the cloud after the motion since the last measurement used."""
+    def _moved(self, belief: Particles) -> tuple[Particles, FloatArray]:
+        """Return the cloud after the motion since the last measurement used, and its errors of distance."""
+        scales = self._scales
         if self._used is None:
-            return belief
+            return belief, scales
         drawn = self._motion.sample(belief.poses, np.array([self._used, self._odometry.pose]), self._rng)
         poses = as_poses(drawn, "motion")
-        if self._odometry.jumps > self._jumps_used:
-            poses = poses + JUMP_SPREAD * self._rng.standard_normal(poses.shape)
         if poses.shape != belief.poses.shape:
             raise InvalidInputError(
                 f"motion: expected as many poses as there are, {len(belief)}, got shape {poses.shape}"
             )
-        return Particles.unchecked(pose_rows(poses), belief.weights)
+        if self._odometry.jumps > self._jumps_used:
+            poses = poses + JUMP_SPREAD * self._rng.standard_normal(poses.shape)
+        elif self.options.distance_scale is not None:
+            ahead, left, _ = step_between(self._used, self._odometry.pose)
+            distance = math.hypot(ahead, left)
+            poses, scales = self.options.distance_scale.move(belief.poses, poses, scales, distance, self._rng)
+        return Particles.unchecked(pose_rows(poses), belief.weights), scales
 
-    def _drawn(self, belief: Particles, effective: float, z: Z) -> tuple[Particles, int]:
-        """Return the cloud drawn anew where that is due, and how many poses came from the source."""
+    def _drawn(
+        self, belief: Particles, scales: FloatArray, effective: float, z: Z
+    ) -> tuple[Particles, FloatArray, int]:
+        """Return the cloud and its errors of distance, drawn anew where due, and how many are poses of the source."""
         share = self._averages.share if self._averages is not None else 0.0
         if share == 0.0 and effective >= self.options.resample_below * len(belief):
-            return belief, 0
+            return belief, scales, 0
         indices = self._indices(belief)
         n_replaced = self._rng.binomial(len(indices), share) if share > 0.0 else 0
         fresh = np.zeros((0, 3))
@@ -329,9 +354,14 @@ class ParticleFilter(Generic[Z]):
                 raise InvalidInputError(f"source: expected at most {n_replaced} poses (n, 3), got shape {fresh.shape}")
             # Which particles go must not depend on their order.
             indices = self._rng.permutation(indices)[len(fresh) :]
-        poses = belief.poses[indices]
-        poses = np.concatenate([poses, fresh]) if len(fresh) else poses
-        return Particles.unchecked(poses, np.full(len(poses), 1.0 / len(poses))), len(fresh)
+        poses, scales = belief.poses[indices], scales[indices]
+        if len(fresh):
+            poses, scales = np.concatenate([poses, fresh]), np.concatenate([scales, self._drawn_scales(len(fresh))])
+        return Particles.unchecked(poses, np.full(len(poses), 1.0 / len(poses))), scales, len(fresh)
+
+    def _drawn_scales(self, n: int) -> FloatArray:
+        option = self.options.distance_scale
+        return np.zeros(n) if option is None else option.draw(n, self._rng)
 
     def _indices(self, belief: Particles) -> IndexArray:
         kld, most = self.options.kld, self.options.n_particles

@@ -16,6 +16,7 @@ from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding, Severity, worst_first
 from beamfield.geometry import FloatArray
 from beamfield.localization.coarse_model import CoarseModel
+from beamfield.localization.distance_scale import DistanceScale, ScaleEstimate
 from beamfield.localization.mapped_area import MappedArea, MappedAreaModel
 from beamfield.localization.moving_objects import without_crowd_so_far
 from beamfield.localization.particle_filter import FilterOptions, ParticleFilter, Update
@@ -24,6 +25,7 @@ from beamfield.localization.recovery import PoseSource
 from beamfield.localization.relocalization import Relocalizer
 from beamfield.localization.replay import PoseBelief, Replay
 from beamfield.localization.short_readings import ShortReadings
+from beamfield.localization.trajectory_trust import scale_finding
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.ray_agreement import agreement_at
 from beamfield.maps.raycast import RayCaster
@@ -43,6 +45,9 @@ PROVING_SCANS = 12
 # So small a share of scans beyond the map is not worth a word: a cell may be unknown where a robot drives.
 FEW = 0.01
 
+# So many standard deviations from 0, the error of the odometry's distances is worth a word.
+SURE_OF_SCALE = 2.0
+
 # Called after each measurement used: the index of its scan, and what it did.
 Watch = Callable[[int, Update], None]
 
@@ -58,10 +63,13 @@ class Localization(Replay):
     searched_from
         Index of the scan from which on the robot was searched for the last time, or found elsewhere; 0 if the first
         search, or the start, was not given up.
+    distance_scale
+        The relative error of the odometry's distances, by the particles at the end; None from a filter of a stack.
     """
 
     findings: tuple[Finding, ...] = ()
     searched_from: int = 0
+    distance_scale: ScaleEstimate | None = None
 
     __repr__ = short_repr
 
@@ -79,7 +87,7 @@ class ScanLocalizer:
     motion
         Moves particles.
     options
-        Of the filter.
+        Of the filter; by default, all of the odometry's distances may be off alike.
     n_anywhere
         Particles to begin with where the start is not known. They are weighed once; from then on there are 5000 to
         50,000 until the robot is found, and then as many as the options say.
@@ -101,7 +109,7 @@ class ScanLocalizer:
     grid: OccupancyGrid
     model: MeasurementModel[Scan]
     motion: MotionModel
-    options: FilterOptions = field(default_factory=FilterOptions)
+    options: FilterOptions = field(default_factory=lambda: FilterOptions(distance_scale=DistanceScale()))
     n_anywhere: int = field(default=200_000, kw_only=True)
     coarse: MeasurementModel[Scan] | None = field(default=None, kw_only=True)
     source: PoseSource[Scan] | None = field(default=None, kw_only=True)
@@ -209,6 +217,7 @@ class ScanLocalizer:
         known = known[np.isfinite(known).all(axis=1)]
         n_beyond = int(self._area.is_beyond(known).sum())
         counts["beyond-map"] = n_beyond if n_beyond > FEW * len(log) and own.is_found and not is_late else 0
+        scale = _scale_finding(own.distance_scale) if own.is_found and not is_late else ()
         counts["stamps-back"] = int((np.diff(log.stamps) < 0.0).sum())
         return Localization(
             poses,
@@ -217,8 +226,9 @@ class ScanLocalizer:
             np.reshape([cloud.covariance for cloud in clouds], (-1, 3, 3)),
             np.array(sizes, np.int64),
             np.array(seconds),
-            findings=worst_first([*_findings(counts, len(log), relocalized), *crowd]),
+            findings=worst_first([*_findings(counts, len(log), relocalized), *crowd, *scale]),
             searched_from=searched_from,
+            distance_scale=own.distance_scale,
         )
 
     def _filter(self, rng: np.random.Generator | int) -> ParticleFilter[Scan]:
@@ -349,6 +359,10 @@ def _findings(counts: Mapping[str, int], n_scans: int, relocalized: Sequence[flo
     yield from (finding(name, *texts) for name, texts in _TEXTS.items() if counts[name])
     if relocalized:
         yield _elsewhere(relocalized)
+
+
+def _scale_finding(scale: ScaleEstimate) -> Iterator[Finding]:
+    return scale_finding(scale.mean) if abs(scale.mean) > SURE_OF_SCALE * scale.deviation else iter(())
 
 
 def _elsewhere(relocalized: Sequence[float]) -> Finding:

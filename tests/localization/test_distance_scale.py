@@ -29,9 +29,9 @@ def test_poses_and_scales_are_those_of_a_kalman_filter_with_the_scale_in_its_sta
     rng, n, true_scale, sigma_z = np.random.default_rng(4), 100_000, -0.08, 0.4
     options = FilterOptions(n_particles=n, distance_scale=ONE_NORMAL, **ALWAYS)
     own = ParticleFilter(Position(sigma_z), Shift(0.05), options, rng=1)
-    own.start(np.column_stack([rng.normal(0.0, 0.3, (n, 2)), np.zeros(n)]))
-    mean, covariance = np.zeros(3), np.diag([0.09, 0.09, ONE_NORMAL.usual**2])  # x, y, scale
-    odometry, truth = np.zeros(3), np.array([0.2, -0.1])
+    own.start(np.column_stack([rng.normal(0.0, 0.15, (n, 2)), np.zeros(n)]))
+    mean, covariance = np.zeros(3), np.diag([0.0225, 0.0225, ONE_NORMAL.usual**2])  # x, y, scale
+    odometry, truth = np.zeros(3), np.array([0.1, -0.05])
     for t in range(15):
         if t:
             step = np.array([1.0, 0.5 * (-1) ** t])
@@ -72,7 +72,17 @@ def test_without_one_distances_are_taken_as_they_are():
     own.start(np.zeros((100, 3)))
     own.update(np.zeros(2), np.zeros(3))
     own.update(np.zeros(2), np.array([1.0, 0.0, 0.0]))
-    assert own.distance_scale == (0.0, 0.0)
+    assert own.distance_scale is None
+
+
+def test_errors_of_distance_are_drawn_once_the_place_is_known():
+    options = FilterOptions(n_particles=500, distance_scale=DistanceScale(), **ALWAYS)
+    own = ParticleFilter(Position(0.1), Shift(0.01), options, rng=1)
+    assert own.distance_scale is None
+    own.start(np.random.default_rng(0).normal(0.0, [2.0, 2.0, 0.0], (500, 3)))
+    assert own.distance_scale is None
+    own.update(np.zeros(2), np.zeros(3))
+    assert own.distance_scale is not None
 
 
 def test_poses_that_a_recovery_draws_have_errors_of_their_own():

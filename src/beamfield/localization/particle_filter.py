@@ -29,6 +29,9 @@ Z = TypeVar("Z")
 # then there are so many particles: with 2000, three of 72 starts at Wean Hall are sure of a wrong place.
 FOUND_SPREAD, FOUND_TURN = 0.5, 0.5
 LEAST_SEARCHING, MOST_SEARCHING = 5000, 50_000
+# Particles have relative errors of the odometry's distances from when on the cloud is so narrow, metres: the few that
+# are left of a wide one would have a few errors only.
+SCALED_SPREAD = 0.25
 # After a jump of the odometry the robot may be this far from where it was, metres and radians (standard deviations).
 JUMP_SPREAD = np.array([0.3, 0.3, 0.3])
 
@@ -212,7 +215,7 @@ class ParticleFilter(Generic[Z]):
         # Copies: the caller may fill the same arrays again.
         given = None if weights is None else np.array(as_floats(weights, "weights"))
         self._belief = Particles(np.array(as_poses(poses), order="C"), given)
-        self._scales = self._drawn_scales(len(self._belief))
+        self._scales: FloatArray | None = None
         self._coarse = coarse
         self._odometry = ContinuousOdometry()
         self._used: Pose | None = None
@@ -249,17 +252,15 @@ class ParticleFilter(Generic[Z]):
         return self._belief is not None and self._coarse is None
 
     @property
-    def distance_scale(self) -> ScaleEstimate:
-        """The relative error of the odometry's distances: 0, and sure of it, without a `DistanceScale`.
+    def distance_scale(self) -> ScaleEstimate | None:
+        """The relative error of the odometry's distances.
 
-        Raises
-        ------
-        InvalidInputError
-            Before `start`.
+        None without a `DistanceScale`, and until the cloud's spread has been 0.25 m.
         """
-        weights = self.belief.weights
-        mean = float(weights @ self._scales)
-        return ScaleEstimate(mean, math.sqrt(float(weights @ np.square(self._scales - mean))))
+        if self._belief is None or self._scales is None:
+            return None
+        mean = float(self._belief.weights @ self._scales)
+        return ScaleEstimate(mean, math.sqrt(float(self._belief.weights @ np.square(self._scales - mean))))
 
     @property
     def odometry_jumps(self) -> int:
@@ -307,6 +308,8 @@ class ParticleFilter(Generic[Z]):
             self._averages.add(log_evidence)
         if not self.is_found and _is_narrow(weighed.whole):
             self._coarse = None
+        if scales is None and self.is_found and weighed.whole.spread <= SCALED_SPREAD:
+            scales = self._drawn_scales(len(weighed))
         self._belief, self._scales, n_replaced = self._drawn(weighed, scales, effective, z)
         self._used, self._jumps_used = self._odometry.pose, self._odometry.jumps
         x, y, theta = weighed.best_cluster.pose.tolist()
@@ -319,7 +322,7 @@ class ParticleFilter(Generic[Z]):
         ahead, left, turn = step_between(self._used, self._odometry.pose)
         return bool(math.hypot(ahead, left) >= self.options.update_distance or abs(turn) >= self.options.update_turn)
 
-    def _moved(self, belief: Particles) -> tuple[Particles, FloatArray]:
+    def _moved(self, belief: Particles) -> tuple[Particles, FloatArray | None]:
         """Return the cloud after the motion since the last measurement used, and its errors of distance."""
         scales = self._scales
         if self._used is None:
@@ -332,15 +335,15 @@ class ParticleFilter(Generic[Z]):
             )
         if self._odometry.jumps > self._jumps_used:
             poses = poses + JUMP_SPREAD * self._rng.standard_normal(poses.shape)
-        elif self.options.distance_scale is not None:
+        elif self.options.distance_scale is not None and scales is not None:
             ahead, left, _ = step_between(self._used, self._odometry.pose)
             distance = math.hypot(ahead, left)
             poses, scales = self.options.distance_scale.move(belief.poses, poses, scales, distance, self._rng)
         return Particles.unchecked(pose_rows(poses), belief.weights), scales
 
     def _drawn(
-        self, belief: Particles, scales: FloatArray, effective: float, z: Z
-    ) -> tuple[Particles, FloatArray, int]:
+        self, belief: Particles, scales: FloatArray | None, effective: float, z: Z
+    ) -> tuple[Particles, FloatArray | None, int]:
         """Return the cloud and its errors of distance, drawn anew where due, and how many are poses of the source."""
         share = self._averages.share if self._averages is not None else 0.0
         if share == 0.0 and effective >= self.options.resample_below * len(belief):
@@ -354,14 +357,17 @@ class ParticleFilter(Generic[Z]):
                 raise InvalidInputError(f"source: expected at most {n_replaced} poses (n, 3), got shape {fresh.shape}")
             # Which particles go must not depend on their order.
             indices = self._rng.permutation(indices)[len(fresh) :]
-        poses, scales = belief.poses[indices], scales[indices]
-        if len(fresh):
-            poses, scales = np.concatenate([poses, fresh]), np.concatenate([scales, self._drawn_scales(len(fresh))])
+        poses = belief.poses[indices]
+        poses = np.concatenate([poses, fresh]) if len(fresh) else poses
+        if scales is not None:
+            scales = scales[indices]
+            if (of_fresh := self._drawn_scales(len(fresh))) is not None:
+                scales = np.concatenate([scales, of_fresh])
         return Particles.unchecked(poses, np.full(len(poses), 1.0 / len(poses))), scales, len(fresh)
 
-    def _drawn_scales(self, n: int) -> FloatArray:
+    def _drawn_scales(self, n: int) -> FloatArray | None:
         option = self.options.distance_scale
-        return np.zeros(n) if option is None else option.draw(n, self._rng)
+        return None if option is None else option.draw(n, self._rng)
 
     def _indices(self, belief: Particles) -> IndexArray:
         kld, most = self.options.kld, self.options.n_particles

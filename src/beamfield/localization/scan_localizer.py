@@ -64,7 +64,7 @@ class Localization(Replay):
         Index of the scan from which on the robot was searched for the last time, or found elsewhere; 0 if the first
         search, or the start, was not given up.
     distance_scale
-        The relative error of the odometry's distances, by the particles at the end; None from a filter of a stack.
+        The relative error of the odometry's distances, by the particles at the end; None if they have none.
     """
 
     findings: tuple[Finding, ...] = ()
@@ -361,8 +361,9 @@ def _findings(counts: Mapping[str, int], n_scans: int, relocalized: Sequence[flo
         yield _elsewhere(relocalized)
 
 
-def _scale_finding(scale: ScaleEstimate) -> Iterator[Finding]:
-    return scale_finding(scale.mean) if abs(scale.mean) > SURE_OF_SCALE * scale.deviation else iter(())
+def _scale_finding(scale: ScaleEstimate | None) -> Iterator[Finding]:
+    if scale is not None and abs(scale.mean) > SURE_OF_SCALE * scale.deviation:
+        yield from scale_finding(scale.mean)
 
 
 def _elsewhere(relocalized: Sequence[float]) -> Finding:

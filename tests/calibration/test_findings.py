@@ -17,6 +17,7 @@ from beamfield.calibration.findings import (
     cone_findings,
     left_out_findings,
     noise_findings,
+    place_findings,
     score_findings,
     selection_findings,
     table_findings,
@@ -122,6 +123,19 @@ def test_poses_off_the_map_are_named_from_a_tenth_of_all_scans_on(n_off, names):
     found = list(selection_findings(Selection(reason < 0, reason)))
     assert [one.name for one in found] == names
     assert all("11 of 100 reference poses (11%)" in one.text for one in found)
+
+
+@pytest.mark.parametrize(("driven", "names"), [(1.9, ["one-place"]), (2.1, [])])
+def test_scans_from_one_place_are_named(rng, driven, names):
+    log, _ = log_and_table(readings(rng))
+    used = np.arange(len(log)) < len(log) - 1
+    # The last scan, which is not used, is elsewhere.
+    poses = np.zeros((len(log), 3))
+    poses[:, 0] = np.where(used, np.linspace(0.0, driven, len(log)), 50.0)
+    poses[:-1, 0] *= driven / poses[-2, 0]
+    found = list(place_findings(replace(log, poses=poses), Selection(used, np.where(used, -1, 0).astype(np.int8))))
+    assert [one.name for one in found] == names
+    assert [one.values for one in found] == [{"across": pytest.approx(driven)}][: len(names)]
 
 
 @pytest.mark.parametrize(

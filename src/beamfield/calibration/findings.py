@@ -26,6 +26,8 @@ MOST_OF_A_BLIND_BEAM = 0.01
 # Noise of a hit beyond this share of its range is of no range sensor: it is 0.14 in Wean Hall, whose walls are drawn
 # worst of our maps, 0.33 there with mirrored scans, and 1.1 in the mirror image of the map.
 WIDEST_NOISE = 0.25
+# Scans from within so many metres of each other are of one place.
+ONE_PLACE = 2.0
 
 
 def selection_findings(selection: Selection) -> Iterator[Finding]:
@@ -40,6 +42,20 @@ def selection_findings(selection: Selection) -> Iterator[Finding]:
             {"n": float(off), "share": share},
             why="The map does not cover the log, or the poses are not in its frame.",
             do="Check the frame of the poses, and that the map is that of this drive.",
+        )
+
+
+def place_findings(log: SensorLog, selection: Selection) -> Iterator[Finding]:
+    """Warn if all scans used are from about one place."""
+    across = float(np.hypot(*np.ptp(log.poses[selection.used, :2], axis=0)))
+    if across < ONE_PLACE:
+        yield Finding(
+            "one-place",
+            "warning",
+            f"All scans used are from one place, {across:.1f} m across.",
+            {"across": across},
+            why="The values hold for the walls and people that are seen from there; the intervals do not cover others.",
+            do="Record a drive through all places where the robot will work.",
         )
 
 

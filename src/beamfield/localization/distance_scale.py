@@ -53,7 +53,7 @@ class DistanceScale:
 
     usual: float = 0.005
     worn: float = 0.06
-    worn_share: float = 0.2
+    worn_share: float = 0.1
     redrawn: float = 0.01
 
     def __post_init__(self) -> None:

@@ -55,7 +55,8 @@ def score_findings(scores: tuple[ModelScore, ...]) -> Iterator[Finding]:
                 why="Fit and held-out blocks differ too much, or there is too little data.",
                 do="Calibrate with a longer log of the places where the robot will drive.",
             )
-        if score.name == "uniform" and score.behind_fit < LEAST_GAIN_OVER_UNIFORM:
+        # Minus infinity says nothing of the map: the fit has no cause for some reading, as for the first "no return".
+        if score.name == "uniform" and -math.inf < score.behind_fit < LEAST_GAIN_OVER_UNIFORM:
             yield Finding(
                 "map-says-nothing",
                 "warning",

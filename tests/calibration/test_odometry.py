@@ -452,9 +452,13 @@ def test_bad_covariances_are_refused(covariances):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"floor": -0.1}, {"reference_error": 0.0}, {"update_min_d": float("nan")}],
+    ("options", "message"),
+    [
+        ({"floor": -0.1}, "floor: expected a finite number >= 0, got -0.1"),
+        ({"reference_error": 0.0}, "reference_error: expected a positive number, got 0.0"),
+        ({"update_min_d": float("nan")}, "update_min_d: expected a finite number >= 0, got nan"),
+    ],
 )
-def test_bad_options_are_refused(options):
-    with pytest.raises(InvalidInputError, match=next(iter(options))):
+def test_bad_options_are_refused(options, message):
+    with pytest.raises(InvalidInputError, match=message):
         OdometryOptions(**options)

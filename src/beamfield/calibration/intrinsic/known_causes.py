@@ -106,7 +106,7 @@ def _numbers(causes: ArrayLike) -> NDArray[np.int64]:
         if unknown:
             raise InvalidInputError(f"causes: expected names among {', '.join(CAUSES)}, got {unknown[0]!r}")
         return np.array([CAUSES.index(name) for name in column.tolist()], dtype=np.int64)
-    if column.dtype.kind not in "iu" or (column.size and not 0 <= column.min() <= column.max() < len(CAUSES)):
+    if column.size and (column.dtype.kind not in "iu" or not 0 <= column.min() <= column.max() < len(CAUSES)):
         raise InvalidInputError("causes: expected names or positions 0 to 3 (hit, short, max, rand)")
     return column.astype(np.int64)
 

@@ -268,10 +268,8 @@ def _simplest_of_the_best(candidates: list[NoiseCandidate]) -> NoiseCandidate:
     best = max(candidates, key=lambda one: one.score if np.isfinite(one.score) else -np.inf)
 
     def is_as_good(one: NoiseCandidate) -> bool:
-        difference = np.array(best.score_by_block) - np.array(one.score_by_block)
-        difference = difference[np.isfinite(difference)]
-        few = one is best or len(difference) < 2
-        return few or bool(difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)))
+        behind, error = HeldOut(np.array(best.score_by_block)).gain_over(HeldOut(np.array(one.score_by_block)))
+        return not behind > error  # also where there are too few blocks to tell
 
     return next(one for one in candidates if is_as_good(one))
 

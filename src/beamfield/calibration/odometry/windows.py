@@ -176,7 +176,6 @@ def _reference_covariance(
     cos, sin = np.cos(starts[:, 2]), np.sin(starts[:, 2])
     turn = np.zeros((len(starts), 3, 3))
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = cos, sin, -sin, cos, 1.0
-    at_start = -turn.copy()
+    at_start = -turn
     at_start[:, 0, 2], at_start[:, 1, 2] = shown[:, 1], -shown[:, 0]
-    swapped = np.swapaxes
-    return np.asarray(turn @ of_end @ swapped(turn, 1, 2) + at_start @ of_start @ swapped(at_start, 1, 2))
+    return np.asarray(turn @ of_end @ turn.swapaxes(1, 2) + at_start @ of_start @ at_start.swapaxes(1, 2))

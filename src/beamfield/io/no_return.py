@@ -79,7 +79,7 @@ def resolve_no_return(
             limit = codes[0]  # the sensor saturates there, whatever it declares
     values: tuple[float, ...] = codes
     origin = "detected" if codes else "none"
-    if codes and limit is not None and codes[0] >= limit and limit != codes[0]:
+    if codes and limit is not None and codes[0] > limit:
         origin = limit_origin
     if not isinstance(rule, str):
         values, origin = tuple(sorted(float(v) for v in rule)), "given"

@@ -266,8 +266,7 @@ def _column(name: str, values: ArrayLike, least: float = 0.0, *, may_be_nan: boo
 def _check_options(n_starts: int, tolerance: float, max_iterations: int) -> None:
     require(1 <= n_starts <= MOST_STARTS, "n_starts", f"1 to {MOST_STARTS}", n_starts)
     require(0.0 < tolerance < np.inf, "tolerance", "a positive number of nats per beam", tolerance)
-    if max_iterations < 1:
-        raise InvalidInputError(f"max_iterations: expected at least 1, got {max_iterations}")
+    require(max_iterations >= 1, "max_iterations", "at least 1", max_iterations)
 
 
 def _screen(

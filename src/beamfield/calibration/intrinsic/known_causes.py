@@ -134,7 +134,6 @@ def _closed_form(
     theta[VARIANCE] = np.mean((z[hit] - expected[hit]) ** 2)
     total = float(z[short].sum())
     theta[RATE] = counts[W_SHORT] / total if total > 0.0 else (problem.upper[RATE] if short.any() else 0.0)
-    theta = np.clip(theta, problem.lower, problem.upper)
     return problem.apply(theta)
 
 
@@ -150,6 +149,6 @@ def _known_statistics(
         node_ranges=expected,
         node_hit=np.stack([hit, error, error**2]),
         node_short=short,
-        sum_short_range=float(z @ short) if np.isfinite(z).all() else float(z[short > 0.0].sum()),
+        sum_short_range=float(z[causes == W_SHORT].sum()),
         cut_matters=True,
     )

@@ -19,7 +19,7 @@ from beamfield.io.files.text_lines import Line, is_number, read_lines
 from beamfield.sensors import MAX_GAP, ScanLog, SensorLog, Track
 from beamfield.short_repr import short_repr
 
-TIME_NAMES = ("t", "time", "stamp", "timestamp", "#timestamp", "sec", "seconds")
+TIME_NAMES = ("t", "time", "stamp", "timestamp", "sec", "seconds")
 # More poses a stamp, on average, are no path: a filter's particles, or stamps rounded to whole seconds.
 MOST_AT_ONCE = 5
 # Files round their times; more than this is another log, or another scan of it.

@@ -455,7 +455,7 @@ def test_bad_covariances_are_refused(covariances):
     ("options", "message"),
     [
         ({"floor": -0.1}, "floor: expected a finite number >= 0, got -0.1"),
-        ({"reference_error": 0.0}, "reference_error: expected a positive number, got 0.0"),
+        ({"reference_error": 0.0}, "reference_error: expected a positive number from .*, got 0.0"),
         ({"update_min_d": float("nan")}, "update_min_d: expected a finite number >= 0, got nan"),
     ],
 )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from beamfield.arguments import check_fields, require
+from beamfield.arguments import check_fields, check_magnitude, require
 from beamfield.calibration.selection import SelectionOptions, apart, select_scans
 from beamfield.calibration.time_split import FEWEST_BLOCKS, LONGEST_BLOCK_S, time_blocks
 from beamfield.errors import TooLittleDataError
@@ -76,7 +76,7 @@ class WindowOptions:
         for name, least in (("scans", 1), ("windows", 2), ("near", 2 * N_GUESSES), ("far", 0), ("seed", 0)):
             require(getattr(self, name) >= least, name, f"at least {least}", getattr(self, name))
         for name in ("spread", "turn_spread", "reference_error"):
-            require(0.0 < getattr(self, name) < np.inf, name, "a positive number", getattr(self, name))
+            check_magnitude(name, getattr(self, name))
         for name in ("travel", "turn"):
             require(0.0 <= getattr(self, name) < np.inf, name, "a number >= 0", getattr(self, name))
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_fields, require
+from beamfield.arguments import check_fields, check_magnitude, require
 from beamfield.calibration.odometry.noise_family import NoiseFamily
 from beamfield.calibration.odometry.noise_fit import fit_levels, matched_levels
 from beamfield.calibration.odometry.windows import OdometryWindows
@@ -50,7 +50,7 @@ class OdometryOptions:
         check_fields(self)
         for name in ("update_min_d", "update_min_a", "floor"):
             require(0.0 <= getattr(self, name) < np.inf, name, "a finite number >= 0", getattr(self, name))
-        require(0.0 < self.reference_error < np.inf, "reference_error", "a positive number", self.reference_error)
+        check_magnitude("reference_error", self.reference_error)
 
 
 @dataclass(frozen=True)

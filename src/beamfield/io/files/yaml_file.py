@@ -25,7 +25,6 @@ MAX_DEPTH = 50
 
 # Where a value stands: the keys (and indices of lists) on the way to it.
 Place = tuple[str | int, ...]
-Spans = dict[Place, tuple[int, int]]
 
 _TAG = "tag:yaml.org,2002:"
 # Tags of angles in files for ROS 1, which has another way to write them, too.
@@ -236,7 +235,7 @@ class _Values:
     def __init__(self, yaml: YAML, path: Path, last_counts: bool) -> None:
         self.yaml, self.path, self.last_counts = yaml, path, last_counts
         self.lines: dict[Place, int] = {}
-        self.spans: Spans = {}
+        self.spans: dict[Place, tuple[int, int]] = {}
         self.earlier: dict[Place, tuple[tuple[int, Any], ...]] = {}
 
     def construct(self, node: Node, place: Place) -> Any:

@@ -159,17 +159,16 @@ def attach_poses(log: ScanLog, track: Track, *, max_gap: float = MAX_GAP) -> Sca
         If no scan gets a pose, or indices or times show that the trajectory belongs to another log.
     """
     require(max_gap > 0.0, "max_gap", "seconds > 0", max_gap)
-    by_index = isinstance(track, IndexedTrack) and len(log.sensors) == 1
     sensors, notes = {}, list(log.notes)
     for name, sensor in log.sensors.items():
-        if by_index and isinstance(track, IndexedTrack):
-            poses = _poses_by_index(log.source, sensor, track)
+        if isinstance(track, IndexedTrack) and len(log.sensors) == 1:
+            poses, how = _poses_by_index(log.source, sensor, track), "by scan index"
         else:
             poses = interpolate_poses(track.stamps, track.poses, sensor.stamps, max_gap=max_gap)
+            how = "interpolated at their stamps"
         known = int(np.count_nonzero(np.isfinite(poses).all(axis=1)))
         if known == 0:
             raise InvalidInputError(_nothing_attached(log.source, name, sensor, track, max_gap))
-        how = "by scan index" if by_index else "interpolated at their stamps"
         notes.append(f"{name}: {known} of {len(sensor)} scans have a reference pose from the given trajectory, {how}")
         sensors[name] = sensor.with_poses(poses)
     return replace(log, sensors=sensors, notes=tuple(notes))

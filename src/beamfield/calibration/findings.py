@@ -99,7 +99,7 @@ def cone_findings(log: SensorLog) -> Iterator[Finding]:
 
 def left_out_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
     """Warn of many readings without a measurement: they count in no parameter, not even z_max."""
-    total = max(table.n_readings, 1)
+    total = table.n_readings
     # Beams that are NaN in all scans are masked.
     masked = float(np.isnan(log.ranges).all(axis=0).mean())
     nan, close = table.n_nan / total - masked, table.n_too_close / total

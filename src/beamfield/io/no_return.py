@@ -93,7 +93,7 @@ def resolve_no_return(
         z[z >= limit] = np.inf
     elif origin == "none" and mask.any():
         origin = limit_origin
-    share = float(np.mean(z == np.inf)) if z.size else 0.0
+    share = float(np.mean(z == np.inf))
     return ResolvedRanges(z, limit, NoReturnPolicy(values, share, origin, _explain(values, share, origin, limit)),
                           tuple(notes))  # fmt: skip
 

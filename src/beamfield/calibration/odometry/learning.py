@@ -132,7 +132,11 @@ def calibrate_odometry(
         systematic=systematic.errors,
         alphas=DifferentialMotion(**floored),
         chosen=chosen,
-        candidates=(fit.as_candidate(DEFAULT, default), *ours, other),
+        candidates=(
+            NoiseCandidate("nav2's default, 0.2", DEFAULT, (), default.mean, 0.0, 0.0, tuple(default.by_block)),
+            *ours,
+            other,
+        ),
         corrected_alpha=corrected,
         by_length=_by_length(cut),
         coverage=float(inside.mean()),
@@ -210,10 +214,6 @@ class _WindowFit:
         """Judge a model whose parameters are given."""
         covariance = self.reference + self.windows.covariance(model)[self.kept]
         return judged(log_densities(self.residuals, covariance), self.blocks)
-
-    def as_candidate(self, default: DifferentialMotion, score: HeldOut) -> NoiseCandidate:
-        """Return the stacks' default among the candidates."""
-        return NoiseCandidate("nav2's default, 0.2", default, (), score.mean, 0.0, 0.0, tuple(score.by_block))
 
     def systematic_errors(self) -> tuple[SystematicErrors, float]:
         """Return the systematic errors that the drive shows, and the common alpha without them."""

@@ -156,7 +156,8 @@ def cut_odometry_windows(
     first = first[posed[first] & posed[first + length]]
     if len(first) < FEWEST_WINDOWS:
         raise TooLittleDataError(
-            f"expected at least {FEWEST_WINDOWS} windows of {length} update steps between poses, got {len(first)}"
+            f"expected at least {FEWEST_WINDOWS} windows of {length} update steps between poses, got {len(first)}: "
+            "record a longer drive"
         )
     starts, ends = poses[scans[first]], poses[scans[first + length]]
     shown = between(starts, ends)

@@ -231,6 +231,12 @@ def learn_intrinsic_parameters(
         )
         climbs.append(_joined(so_far, rest) if sample is likelihood else rest)
     climbs.sort(key=lambda item: -item.objective)
+    if not climbs or climbs[0].objective == -np.inf:
+        held = ", ".join(f"{name} = {value:g}" for name, value in (hold or {}).items())
+        raise InvalidInputError(
+            f"hold: with {held} some reading has no cause; expected z_rand above 0, and z_max too if readings are at "
+            f"max_range ({likelihood.n_max:g} are)"
+        )
     return _result(likelihood, problem, climbs, n_counted, n_excluded, n_no_measurement)
 
 

@@ -10,7 +10,8 @@ from beamfield.calibration.beam_table import build_beam_table
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import build_cross_fit_maps
 from beamfield.calibration.pose_refinement import refine_poses, refinement_findings
-from beamfield.calibration.time_split import time_blocks
+from beamfield.calibration.selection import select_scans
+from beamfield.calibration.time_split import held_out_mask, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import between, compose, interpolate_poses
 from beamfield.maps.occupancy import OccupancyGrid
@@ -208,7 +209,23 @@ def test_a_map_in_which_most_rays_hit_nothing_is_asked_about(drive, office):
     assert "?" not in str(error.value)
 
 
-@pytest.mark.parametrize(("option", "value"), [("unknown", "wall"), ("range_offset", "yes"), ("sigma_slope", "1")])
+def test_a_first_reading_without_return_among_the_held_out_ones_blames_neither_map_nor_forms(drive, office):
+    used = select_scans(drive, office).used
+    fitted = np.zeros(len(drive), bool)
+    fitted[used] = ~held_out_mask(drive.stamps[used])
+    returned = np.where(fitted[:, None] & (drive.ranges >= drive.finder.max_range), np.nan, drive.ranges)
+    found = calibrate(replace(drive, ranges=returned), office, replace(OPTIONS, refine=False))
+    assert found.parameters.z_max == 0.0
+    assert found.scores[0].log_likelihood == -np.inf
+    assert found.scores[0].behind_fit == 0.0
+    assert np.isfinite([candidate.gain for candidate in found.candidates]).all()
+    assert "fit-not-better" in names(found)
+    assert "map-says-nothing" not in names(found)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("unknown", "wall"), ("range_offset", "yes"), ("sigma_slope", "1"), ("seed", -1)]
+)
 def test_options_that_do_not_exist_are_refused_by_name_and_value(option, value):
     with pytest.raises(InvalidInputError, match=rf"{option}.*{value}"):
         CalibrationOptions(**{option: value})

@@ -174,6 +174,15 @@ def test_a_wrong_sigma_is_mended_in_context(drive, office):
     assert in_context.parameters == learned.parameters
 
 
+@pytest.mark.parametrize(("z_hit", "z_rand"), [(0.0, 1.0), (0.9, 0.0)])
+def test_a_field_without_one_of_its_causes_starts_with_next_to_nothing_of_it(windows, drive, office, z_hit, z_rand):
+    field = LikelihoodFieldModel(office, LikelihoodFieldParameters(z_hit, z_rand, 0.2), n_beams=5)
+    evidence = FieldEvidence(field, drive, windows[1])
+    start = evidence.parameters(evidence.start)
+    assert start.z_hit + start.z_rand == pytest.approx(z_hit + z_rand, abs=1e-15)
+    assert 0.0 < min(start.z_hit, start.z_rand) < 2e-4
+
+
 def test_a_field_that_has_its_own_unknown_is_refused(drive, office):
     field = LikelihoodFieldModel(office, LikelihoodFieldParameters(0.8, 0.1, 0.1), unknown="uniform")
     with pytest.raises(InvalidInputError, match="expected a field with 'free'"):

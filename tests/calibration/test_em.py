@@ -363,6 +363,8 @@ def test_stopping_early_is_a_finding():
         ({"hold": {"sigma_hit": 0.0}}, "hold sigma_hit"),
         ({"hold": {"lambda_short": np.nan}}, "hold lambda_short"),
         ({"hold": {"z_max": 0.0}, "ranges": [1.0, 8.0] * 20}, "hold z_max"),
+        ({"hold": {"z_hit": 1.0}, "ranges": [1.0, 8.0] * 20}, r"z_hit = 1 some reading has no cause; .*\(20 are\)"),
+        ({"hold": {"z_short": 1.0}, "ranges": [0.5, 2.0] * 20}, "z_short = 1 some reading has no cause; .* z_rand"),
         ({"n_starts": 0}, "n_starts"),
         ({"tolerance": 0.0}, "tolerance"),
         ({"max_iterations": 0}, "max_iterations"),
@@ -373,6 +375,15 @@ def test_impossible_input_is_named(change, text):
     beams = [arguments.pop(name) for name in ("ranges", "expected_ranges", "max_range")]
     with pytest.raises(InvalidInputError, match=text):
         learn_intrinsic_parameters(*beams, **arguments)
+
+
+def test_held_weights_may_sum_to_1_but_for_rounding():
+    z, expected, max_range, _, _ = draw("cut at the top", 1000)
+    below = z < max_range
+    hold = {"z_hit": 0.8, "z_short": 0.1, "z_rand": 0.1 + 1e-10}
+    result = learn_intrinsic_parameters(z[below], expected[below], max_range, hold=hold)
+    assert result.parameters.z_max == 0.0
+    assert result.parameters.z_hit == pytest.approx(0.8)
 
 
 @pytest.mark.parametrize(

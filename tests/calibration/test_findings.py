@@ -145,6 +145,7 @@ def test_scans_from_one_place_are_named(rng, driven, names):
         ((-0.01, 0.51), ["fit-not-better"]),
         ((0.1, 0.49), ["map-says-nothing"]),
         ((0.1, 0.0), ["fit-not-better", "map-says-nothing"]),
+        ((0.1, -np.inf), ["fit-not-better"]),
     ],
 )
 def test_a_fit_is_judged_by_what_it_gains_over_other_models(behind, names):

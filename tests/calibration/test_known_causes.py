@@ -86,3 +86,5 @@ def test_without_hits_there_is_no_sigma():
         learn_from_known_causes([5.0], [1.0], ["max"], MAX_RANGE)
     with pytest.raises(InvalidInputError, match="max_range"):
         learn_from_known_causes([5.0], [1.0], ["max"], 0.0)
+    with pytest.raises(TooLittleDataError, match="0 hits among 0 beams"):
+        learn_from_known_causes([], [], [], MAX_RANGE)

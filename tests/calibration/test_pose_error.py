@@ -72,6 +72,17 @@ def test_the_second_error_has_the_covariance_of_the_first(log: bf.SensorLog):
     np.testing.assert_allclose(np.cov(errors[np.isfinite(errors[:, 0])].T), covariance, atol=0.03 * 0.3**2)
 
 
+@pytest.mark.parametrize("name", ["sigma_hit", "sigma_slope"])
+def test_an_error_that_adds_its_variance_to_a_deviation_is_taken_out_whole(name):
+    truth, error = 0.01, 0.02
+    fit, again = (replace(TRUTH, **{name: np.hypot(truth, np.sqrt(n) * error)}) for n in (1, 2))
+    ends = 0.99 * getattr(fit, name), getattr(fit, name)
+    result = with_pose_error(IntervalResult({name: ends}, {name: 0.001}, 0.95, 10, ()), fit, again)
+    low, high = result.intervals[name]
+    assert low == pytest.approx(np.sqrt(ends[0] ** 2 - error**2))
+    assert low < truth < high
+
+
 def test_widened_intervals_stay_where_parameters_can_be():
     found = {"z_hit": (0.9, 0.99), "sigma_hit": (0.01, 0.02), "range_offset": (-0.01, 0.01)}
     found["lambda_short"] = 0.0, np.inf

@@ -58,3 +58,8 @@ def test_a_stamp_that_is_none_is_refused_by_its_number(stamp):
 def test_a_block_without_length_is_refused(length):
     with pytest.raises(InvalidInputError, match="block_s"):
         time_blocks([0.0, 1.0], length)
+
+
+def test_stamps_in_another_unit_are_told_by_their_blocks():
+    with pytest.raises(InvalidInputError, match="make more than 1,000,000 blocks; are the stamps in seconds"):
+        time_blocks(np.arange(10) * 1e9)

@@ -149,9 +149,9 @@ class MiniBag:
         message = self.make(GRID, header=header, info=info, data=np.asarray(data, dtype=np.int8))
         return self.add(topic, GRID, message, stamp)
 
-    def raw(self, stamp: float, values: object, topic: str) -> MiniBag:
+    def raw(self, stamp: float, values: object, topic: str, *, recorded: float | None = None) -> MiniBag:
         message = self.make(RAW, header=self.header(stamp, ""), raw=np.asarray(values, dtype=np.float32))
-        return self.add(topic, RAW, message, stamp)
+        return self.add(topic, RAW, message, stamp if recorded is None else recorded)
 
     def declare(self, topic: str, msgtype: str) -> MiniBag:
         """Add a topic without messages."""

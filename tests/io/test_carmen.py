@@ -399,6 +399,15 @@ def test_a_log_without_reference_poses_is_written_as_robots_do(tmp_path, simulat
     assert not got.has_poses
 
 
+def test_parameters_of_a_single_beam_are_plain_numbers(tmp_path):
+    poses = np.column_stack([np.arange(3.0), np.zeros((3, 2))])
+    log = SensorLog(RangeFinder.from_bearings([0.5], 5.0), np.arange(3.0), np.ones((3, 1)), poses, poses)
+    write_carmen(tmp_path / "out.log", ScanLog({"scan": log}))
+    parameters = read_carmen(tmp_path / "out.log").parameters
+    assert float(parameters["laser_front_laser_fov"]) == 0.0
+    assert float(parameters["laser_front_laser_start_angle"]) == 0.5
+
+
 def test_what_a_flaser_line_cannot_say_is_refused_and_nothing_is_written(tmp_path, simulated):
     sensor = simulated.only_sensor()
     clockwise = replace(sensor, finder=RangeFinder.from_bearings(np.linspace(1.0, -1.0, 31), 5.0))

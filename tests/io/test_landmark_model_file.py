@@ -34,13 +34,14 @@ def test_a_file_by_hand_needs_only_the_sigmas(tmp_path):
     [
         ("other: 1\n", "the key 'landmark_model' is missing"),
         ("landmark_model: 3\n", "a.yaml:1: landmark_model: expected the parameters' names and values, got 3"),
+        (f"landmark_model: {'x' * 1000}\n", r"names and values, got 'x{59}\.\.\.$"),
         ("landmark_model:\n  sigma_range: 0.1\n", "the key 'sigma_bearing' is missing in 'landmark_model'"),
         ("landmark_model:\n  sigma: 1\n", "a.yaml:2: .* unknown parameter 'sigma'; known parameters are sigma_range"),
         ("landmark_model:\n  sigma_range: wide\n  sigma_bearing: 1\n", "a.yaml:2: .* expected a number, got 'wide'"),
         ("landmark_model: {sigma_range: 1, sigma_bearing: 1, range_bias: null}\n", "range_bias: expected a number"),
         ("landmark_model: {sigma_range: -1, sigma_bearing: 1}\n", "landmark_model: sigma_range: expected a positive"),
     ],
-    ids=["key", "number", "missing", "unknown", "word", "null bias", "negative"],
+    ids=["key", "number", "long text", "missing", "unknown", "word", "null bias", "negative"],
 )
 def test_what_is_no_landmark_model_is_refused(text, message, tmp_path):
     (tmp_path / "a.yaml").write_text(text)

@@ -174,3 +174,11 @@ def test_sonar_times_that_differ_are_named(tmp_path):
     sonar_folder(tmp_path, break_pose=4)
     with pytest.raises(FormatError, match=r"measurement\.txt:5: the measurement at 1800 ms has no pose"):
         read_sonar_log(tmp_path)
+
+
+def test_sonar_poses_beyond_the_last_measurement_are_named(tmp_path):
+    sonar_folder(tmp_path, n=3)
+    with (tmp_path / "poses.txt").open("a") as file:
+        file.write("1600 30 0 3\n")
+    with pytest.raises(FormatError, match=r"poses\.txt:4: the pose has no measurement: measurement\.txt ends after 3"):
+        read_sonar_log(tmp_path)

@@ -107,6 +107,8 @@ def test_missing_files_and_other_folders(tmp_path):
         ({"no_return": "maybe"}, "expected 'detect', 'none'"),
         ({"stamps": "sorted"}, "expected 'file' or 'order'"),
         ({"lone_poses": "both"}, "expected 'reference' or 'odometry'"),
+        ({"mask": (-1.0, 1.0)}, r"mask\[0\]: expected \(a number, a number\), got -1.0"),
+        ({"no_return": 0.0}, "no_return: expected 'detect' or 'none' or a sequence, got 0.0"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(tmp_path, options, message):

@@ -118,6 +118,9 @@ def test_mcap_has_standard_messages(recording, tmp_path):
     marker = messages["/causes"][1][2][1].markers[0]
     assert [round(colour.r * 255) for colour in marker.colors] == [COLOURS[3][0], COLOURS[0][0]]
     assert [file.name for file in tmp_path.iterdir()] == ["drive.mcap"]
+    with highlevel.AnyReader([path]) as reader:
+        latched = {c.topic for c in reader.connections if c.ext.offered_qos_profiles}
+    assert latched == {"/map", "/tf_static", "/estimate/path", "/the_reference/path"}
 
 
 def _read_mcap(path):

@@ -750,6 +750,16 @@ def test_four_rangers_of_a_drone_are_read_with_their_flow_odometry(tmp_path):
     assert (sensor.finder.min_range, sensor.finder.max_range) == (0.04, 4.0)
 
 
+def test_what_was_done_to_the_positions_of_a_drone_is_noted(tmp_path):
+    bag = MiniBag("ros1")
+    for time, recorded in ((1.0, 1.0), (1.1, 1.22), (1.2, 1.2), (1.3, 1.3)):
+        bag.raw(time, [time, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0], "/cf/state_xyzv", recorded=recorded)
+    for time in (1.05, 1.15, 1.25):
+        bag.raw(time, [0.5, 1.0, 1.5, 4.5, 2.4, *quaternion(yaw=0.5)], "/cf/state_ranger_qxyzw")
+    notes = read_bag(bag.write(tmp_path)).notes
+    assert any("/cf/state_xyzv: 1 of 4 messages came after later ones" in note for note in notes)
+
+
 def test_a_single_file_of_a_bag_and_a_folder_that_lost_its_metadata_are_read(tmp_path):
     for storage in ("sqlite3", "mcap"):
         folder = MiniBag(storage).scan(1.0).scan(2.0).write(tmp_path, storage)

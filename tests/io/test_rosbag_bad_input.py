@@ -467,6 +467,10 @@ def test_given_limits_without_sense(tmp_path):
     path = MiniBag().scan(1.0).write(tmp_path)
     with pytest.raises(InvalidInputError, match="min_range < max_range"):
         read_bag(path, min_range=3.0, max_range=2.0)
+    for limits in ({"min_range": -1.0}, {"max_range": 0.0}, {"max_range": np.inf}):
+        ((name, value),) = limits.items()
+        with pytest.raises(InvalidInputError, match=f"{name}: expected a finite number of metres >=? 0, got {value}"):
+            read_bag(path, **limits)
 
 
 def test_one_mount_for_two_sensors(tmp_path):

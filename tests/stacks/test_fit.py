@@ -320,6 +320,9 @@ def test_a_log_that_is_too_short_is_too_little(drive, office):
         ({"near": 3}, "near: expected at least 40"),
         ({"spread": 0.0}, "spread: expected a positive number"),
         ({"travel": -1.0}, "travel: expected a number >= 0"),
+        ({"windows": 2.5}, "windows: expected a whole number"),
+        ({"seed": -1}, "seed: expected at least 0, got -1"),
+        ({"reference_error": 1e-170}, "reference_error: expected a positive number from"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )

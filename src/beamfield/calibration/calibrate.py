@@ -45,7 +45,7 @@ from beamfield.calibration.pose_error import as_pose_covariances, with_error_aga
 from beamfield.calibration.pose_refinement import PoseRefinement, refine_poses, refinement_findings
 from beamfield.calibration.reference_checks import pose_findings
 from beamfield.calibration.selection import Selection, select_scans, thinned
-from beamfield.calibration.time_split import held_out_mask, time_blocks
+from beamfield.calibration.time_split import of_held_out, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray
@@ -230,7 +230,7 @@ def calibrate(
 
     # 3. Whole blocks of time are held out.
     blocks = time_blocks(table.stamps, options.block_s)
-    held_out = held_out_mask(table.stamps, options.block_s)
+    held_out = of_held_out(blocks)
     _require_beams(table, held_out, selection, drawn=is_drawn)
 
     # 4. Learn each form of the hit component, keep the one that held-out likelihood asks for.

@@ -134,12 +134,8 @@ def _tables_of_walls(log: SensorLog, counts: HitCounts, scans: NDArray[np.bool_]
     expected, met = ranges_to_walls(counts, log.poses[chosen], log.finder)
     ranges = usable_ranges(log.ranges[chosen], log.finder)
     measured = np.isfinite(ranges)
-    n_unseen, n_unsure = (
-        int((measured & (met == UNSEEN)).sum()),
-        int((measured & np.isin(met, (UNSURE, CLUTTER))).sum()),
-    )
 
-    def table(keep: NDArray[np.bool_], n_no_measurement: int, n_unknown: int, n_unsure: int) -> BeamTable:
+    def table(keep: NDArray[np.bool_]) -> BeamTable:
         scan, beam = np.nonzero(keep)
         return BeamTable(
             ranges[keep],
@@ -148,15 +144,17 @@ def _tables_of_walls(log: SensorLog, counts: HitCounts, scans: NDArray[np.bool_]
             beam.astype(np.int32),
             log.stamps[chosen[scan]],
             log.finder.max_range,
-            n_no_measurement,
-            n_unknown,
-            log.finder.min_range,
-            n_unsure,
+            min_range=log.finder.min_range,
         )
 
-    lines = table(measured & ((met == LINE) | (met == NOTHING)), int((~measured).sum()), n_unseen, n_unsure)
-    n_too_close = int((~measured & ~np.isnan(log.ranges[chosen])).sum())
-    return replace(lines, n_too_close=n_too_close), table(measured & (met == CLUTTER), 0, 0, 0)
+    lines = replace(
+        table(measured & ((met == LINE) | (met == NOTHING))),
+        n_no_measurement=int((~measured).sum()),
+        n_unknown=int((measured & (met == UNSEEN)).sum()),
+        n_unsure=int((measured & np.isin(met, (UNSURE, CLUTTER))).sum()),
+        n_too_close=int((~measured & ~np.isnan(log.ranges[chosen])).sum()),
+    )
+    return lines, table(measured & (met == CLUTTER))
 
 
 def _in_order_of_scans(parts: list[BeamTable]) -> BeamTable:

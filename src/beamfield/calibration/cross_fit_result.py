@@ -122,7 +122,7 @@ def cross_fit_findings(
     Warnings are where few beams are used or sigma_hit may be mostly the map's error. n_clutter of the beams left out of
     the table met clutter.
     """
-    total = max(1, len(table) + table.n_unknown + table.n_unsure)
+    total = len(table) + table.n_unknown + table.n_unsure
     known, used = 1.0 - table.n_unknown / total, (len(table) + n_clutter) / total
     ends = (
         f"A beam is expected to end at the line through the end points of the wall it meets: {used:.0%} of the beams "

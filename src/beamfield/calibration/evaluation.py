@@ -70,7 +70,7 @@ def score_models(
     fit = next(iter(densities.values()))
 
     def score(name: str, density: FloatArray) -> ModelScore:
-        error, behind = block_standard_error(density, block), fit - density
+        error, behind = block_standard_error(density, block), gains_over(density, fit)
         behind_se = block_standard_error(behind, block)
         return ModelScore(name, models[name], float(density.mean()), error, float(behind.mean()), behind_se)
 
@@ -80,6 +80,15 @@ def score_models(
 def log_density(table: BeamTable, parameters: BeamParameters) -> FloatArray:
     """Return the log density of each beam's range, (n,) nats."""
     return beam_log_density(table.ranges, table.expected_ranges, table.max_range, parameters, min_range=table.min_range)
+
+
+def gains_over(simpler: FloatArray, richer: FloatArray) -> FloatArray:
+    """Return how much a second log density of each beam is larger, (n,) nats; 0 also where both are -inf.
+
+    >>> gains_over(np.array([-1.0, -np.inf]), np.array([-0.5, -np.inf])).tolist()
+    [0.5, 0.0]
+    """
+    return np.subtract(richer, simpler, out=np.zeros_like(simpler), where=richer != simpler)
 
 
 def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float:

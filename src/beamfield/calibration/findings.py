@@ -71,7 +71,8 @@ def score_findings(scores: tuple[ModelScore, ...]) -> Iterator[Finding]:
                 why="Fit and held-out blocks differ too much, or there is too little data.",
                 do="Calibrate with a longer log of the places where the robot will drive.",
             )
-        if score.name == "uniform" and score.behind_fit < LEAST_GAIN_OVER_UNIFORM:
+        # Minus infinity says nothing of the map: the fit has no cause for some reading, as for the first "no return".
+        if score.name == "uniform" and -math.inf < score.behind_fit < LEAST_GAIN_OVER_UNIFORM:
             yield Finding(
                 "map-says-nothing",
                 "warning",
@@ -114,7 +115,7 @@ def cone_findings(log: SensorLog) -> Iterator[Finding]:
 
 def left_out_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
     """Warn of many readings without a measurement: they count in no parameter, not even z_max."""
-    total = max(table.n_readings, 1)
+    total = table.n_readings
     # Beams that are NaN in all scans are masked.
     masked = float(np.isnan(log.ranges).all(axis=0).mean())
     nan, close = table.n_nan / total - masked, table.n_too_close / total

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.evaluation import block_standard_error, is_worth_it, log_density
+from beamfield.calibration.evaluation import block_standard_error, gains_over, is_worth_it, log_density
 from beamfield.calibration.intrinsic.block_intervals import IntervalResult, block_intervals
 from beamfield.calibration.intrinsic.em import LearningResult, learn_intrinsic_parameters
 from beamfield.calibration.options import CalibrationOptions, Choice
@@ -84,7 +84,7 @@ def fit_candidates(
         results.append(learn_form(fitted, options.hold, offset=offset, slope=slope))
     progress("learning", len(forms), len(forms))
     densities = [log_density(judged, result.parameters) for result in results]
-    gains = [density - densities[0] for density in densities]
+    gains = [gains_over(densities[0], density) for density in densities]
     best = _choose(densities, judged_blocks)
     return tuple(
         Candidate(
@@ -151,6 +151,6 @@ def _choose(densities: list[FloatArray], blocks: NDArray[np.int64]) -> int:
     """Start with the simplest form; move to another only for a gain that is more than noise."""
     best = 0
     for i, density in enumerate(densities):
-        if is_worth_it(density - densities[best], blocks):
+        if is_worth_it(gains_over(densities[best], density), blocks):
             best = i
     return best

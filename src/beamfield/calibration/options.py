@@ -54,3 +54,4 @@ class CalibrationOptions:
             ("sigma_slope", ("auto", "on", "off")),
         ):
             require(getattr(self, name) in allowed, name, f"one of {allowed}", getattr(self, name))
+        require(self.seed >= 0, "seed", "at least 0", self.seed)

@@ -62,7 +62,7 @@ def with_pose_error(intervals: IntervalResult, fit: BeamParameters, again: BeamP
     for name, (low, high) in intervals.intervals.items():
         before, after = getattr(fit, name), getattr(again, name)
         # Variances add up, deviations do not.
-        power = 2.0 if name == "sigma_hit" else 1.0
+        power = 2.0 if name in ("sigma_hit", "sigma_slope") else 1.0
         least, most = -np.inf if name == "range_offset" else 0.0, 1.0 if name in WEIGHTS else np.inf
         back = np.clip(np.array([low, high]) ** power - (after**power - before**power), least, most) ** (1.0 / power)
         ends[name] = min(low, float(back[0])), max(high, float(back[1]))

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from beamfield.arguments import require
+from beamfield.arguments import check_fields, check_magnitude, require
 from beamfield.calibration.selection import SelectionOptions, apart, select_scans
 from beamfield.calibration.time_split import FEWEST_BLOCKS, LONGEST_BLOCK_S, time_blocks
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.errors import TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
@@ -72,11 +72,11 @@ class WindowOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("scans", 1), ("windows", 2), ("near", 2 * N_GUESSES), ("far", 0)):
-            if getattr(self, name) < least:
-                raise InvalidInputError(f"{name}: expected at least {least}, got {getattr(self, name)}")
+        check_fields(self)
+        for name, least in (("scans", 1), ("windows", 2), ("near", 2 * N_GUESSES), ("far", 0), ("seed", 0)):
+            require(getattr(self, name) >= least, name, f"at least {least}", getattr(self, name))
         for name in ("spread", "turn_spread", "reference_error"):
-            require(0.0 < getattr(self, name) < np.inf, name, "a positive number", getattr(self, name))
+            check_magnitude(name, getattr(self, name))
         for name in ("travel", "turn"):
             require(0.0 <= getattr(self, name) < np.inf, name, "a number >= 0", getattr(self, name))
 
@@ -202,7 +202,7 @@ def cut_windows(
         motion = between(log.poses[group[0]], log.poses[group])[:, None]
         near = compose(compose(log.poses[group[0]], own.offsets)[None], motion)
         far = compose(_anywhere(grid, free, options.far, rng)[None], motion)
-        # Every third block of time is held out, from the second on, as in `held_out_mask`.
+        # Every third block of time is held out, from the second on, as in `of_held_out`.
         windows.append(Window(group, near, far, (0, HELD_OUT, 1)[int(blocks[group[0]]) % 3], own))
     counts = [sum(window.fold == fold for window in windows) for fold in range(3)]
     if min(counts) < FEWEST_WINDOWS:

@@ -227,12 +227,12 @@ def _jumps(odometry: FloatArray, stamps: FloatArray) -> NDArray[np.bool_]:
 
 
 def _windows(stamps: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and last index of consecutive windows of `WINDOW_S` seconds (of 10 scans where stamps do not advance)."""
+    """First and last index of consecutive windows of `WINDOW_S` seconds; a shorter log, of 2 scans or more, is one."""
     edges = [0]
     for i in range(1, len(stamps)):
         if stamps[i] - stamps[edges[-1]] >= WINDOW_S:
             edges.append(i)
-    if edges[-1] != len(stamps) - 1 and len(edges) == 1:
+    if len(edges) == 1:
         edges.append(len(stamps) - 1)
     index = np.array(edges, dtype=np.int64)
     return index[:-1], index[1:]

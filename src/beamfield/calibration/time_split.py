@@ -35,7 +35,8 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     length = block_length(times, block_s)
     if duration > MOST_BLOCKS * length > 0:
         raise InvalidInputError(
-            f"block_s: {duration:g} s in blocks of {length:g} s make more than {MOST_BLOCKS:,} blocks"
+            f"block_s: {duration:g} s in blocks of {length:g} s make more than {MOST_BLOCKS:,} blocks; are the "
+            "stamps in seconds?"
         )
     if length <= 0:
         return np.zeros(len(times), dtype=np.int64)

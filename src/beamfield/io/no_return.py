@@ -79,7 +79,7 @@ def resolve_no_return(
             limit = codes[0]  # the sensor saturates there, whatever it declares
     values: tuple[float, ...] = codes
     origin = "detected" if codes else "none"
-    if codes and limit is not None and codes[0] >= limit and limit != codes[0]:
+    if codes and limit is not None and codes[0] > limit:
         origin = limit_origin
     if not isinstance(rule, str):
         values, origin = tuple(sorted(float(v) for v in rule)), "given"
@@ -93,7 +93,7 @@ def resolve_no_return(
         z[z >= limit] = np.inf
     elif origin == "none" and mask.any():
         origin = limit_origin
-    share = float(np.mean(z == np.inf)) if z.size else 0.0
+    share = float(np.mean(z == np.inf))
     return ResolvedRanges(z, limit, NoReturnPolicy(values, share, origin, _explain(values, share, origin, limit)),
                           tuple(notes))  # fmt: skip
 

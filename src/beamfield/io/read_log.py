@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import checked
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.files.bag_storage import BAG_SUFFIXES, is_packed_storage, storage_of
 from beamfield.io.files.text_lines import is_number, read_lines
@@ -43,6 +44,7 @@ UNKNOWN_LINES = 100
 _Reader = Callable[[Path, TextOptions], ScanLog]
 
 
+@checked
 def read_log(
     path: str | Path,
     *,

@@ -19,7 +19,7 @@ from beamfield.io.files.text_lines import Line, is_number, read_lines
 from beamfield.sensors import MAX_GAP, ScanLog, SensorLog, Track
 from beamfield.short_repr import short_repr
 
-TIME_NAMES = ("t", "time", "stamp", "timestamp", "#timestamp", "sec", "seconds")
+TIME_NAMES = ("t", "time", "stamp", "timestamp", "sec", "seconds")
 # More poses a stamp, on average, are no path: a filter's particles, or stamps rounded to whole seconds.
 MOST_AT_ONCE = 5
 # Files round their times; more than this is another log, or another scan of it.
@@ -159,17 +159,16 @@ def attach_poses(log: ScanLog, track: Track, *, max_gap: float = MAX_GAP) -> Sca
         If no scan gets a pose, or indices or times show that the trajectory belongs to another log.
     """
     require(max_gap > 0.0, "max_gap", "seconds > 0", max_gap)
-    by_index = isinstance(track, IndexedTrack) and len(log.sensors) == 1
     sensors, notes = {}, list(log.notes)
     for name, sensor in log.sensors.items():
-        if by_index and isinstance(track, IndexedTrack):
-            poses = _poses_by_index(log.source, sensor, track)
+        if isinstance(track, IndexedTrack) and len(log.sensors) == 1:
+            poses, how = _poses_by_index(log.source, sensor, track), "by scan index"
         else:
             poses = interpolate_poses(track.stamps, track.poses, sensor.stamps, max_gap=max_gap)
+            how = "interpolated at their stamps"
         known = int(np.count_nonzero(np.isfinite(poses).all(axis=1)))
         if known == 0:
             raise InvalidInputError(_nothing_attached(log.source, name, sensor, track, max_gap))
-        how = "by scan index" if by_index else "interpolated at their stamps"
         notes.append(f"{name}: {known} of {len(sensor)} scans have a reference pose from the given trajectory, {how}")
         sensors[name] = sensor.with_poses(poses)
     return replace(log, sensors=sensors, notes=tuple(notes))

@@ -7,7 +7,6 @@ windows at their n poses, near ones before far ones.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,14 +137,13 @@ class FieldEvidence:
         self._max_range = log.finder.max_range
         p = model.parameters
         hit, rand = max(p.z_hit, LEAST_WEIGHT), max(p.z_rand, LEAST_WEIGHT)
-        self._parameters = replace(p, z_hit=hit / (hit + rand) * (p.z_hit + p.z_rand))
+        self._total = p.z_hit + p.z_rand
         self.start = np.array([np.log(hit / rand), np.log(p.sigma_hit)])
 
     def parameters(self, point: FloatArray) -> LikelihoodFieldParameters:
         """Return the parameters at a point."""
-        total = self._parameters.z_hit + self._parameters.z_rand
-        share = 1.0 / (1.0 + np.exp(-point[0]))
-        return LikelihoodFieldParameters(float(total * share), float(total * (1.0 - share)), float(np.exp(point[1])))
+        hit = self._total / (1.0 + np.exp(-point[0]))
+        return LikelihoodFieldParameters(float(hit), float(self._total - hit), float(np.exp(point[1])))
 
     def log_likelihood(self, point: FloatArray) -> FloatArray:
         """Return log q (w, n) of the windows."""

@@ -217,9 +217,9 @@ def learn_field_parameters(
         windows = cut_windows(log, grid, draw_rivals_of_each(options, grid), options, selection, length)
     except TooLittleDataError as error:
         reason = str(error)
-    judge = _Judge(log, grid, windows, options, n_beams)
+    judge = _Judge(log, grid, windows, n_beams)
     values = judge.log_likelihoods(widened, windows)
-    exponents = judge.learn_exponents(values, blocks) if windows else None
+    exponents = exponents_of(values, windows, blocks, options, n_beams, log) if windows else None
     if exponents is not None:
         exponent, intervals["exponent"] = exponents.drive.value, exponents.drive.interval
         intervals["single_scan_exponent"] = exponents.single.interval
@@ -286,17 +286,12 @@ class _Judge:
     log: SensorLog
     grid: OccupancyGrid
     windows: Sequence[Window]
-    options: WindowOptions
     n_beams: int
 
     def log_likelihoods(self, parameters: LikelihoodFieldParameters, windows: Sequence[Window]) -> FloatArray:
         """Return those of windows, see `scan_log_likelihoods`."""
         model = LikelihoodFieldModel(self.grid, parameters, n_beams=self.n_beams)
         return scan_log_likelihoods(model, self.log, windows)
-
-    def learn_exponents(self, values: FloatArray, blocks: NDArray[np.int64]) -> ExponentLearning:
-        """Return the exponents that suit the windows to fit to, given the log-likelihoods of all."""
-        return exponents_of(values, self.windows, blocks, self.options, self.n_beams, self.log)
 
     def score(self, values: FloatArray, exponent: float) -> PosteriorScores:
         """Return the scores of the held-out windows, given their log-likelihoods."""

@@ -231,6 +231,12 @@ def learn_intrinsic_parameters(
         )
         climbs.append(_joined(so_far, rest) if sample is likelihood else rest)
     climbs.sort(key=lambda item: -item.objective)
+    if not climbs or climbs[0].objective == -np.inf:
+        held = ", ".join(f"{name} = {value:g}" for name, value in (hold or {}).items())
+        raise InvalidInputError(
+            f"hold: with {held} some reading has no cause; expected z_rand above 0, and z_max too if readings are at "
+            f"max_range ({likelihood.n_max:g} are)"
+        )
     return _result(likelihood, problem, climbs, n_counted, n_excluded, n_no_measurement)
 
 
@@ -266,8 +272,7 @@ def _column(name: str, values: ArrayLike, least: float = 0.0, *, may_be_nan: boo
 def _check_options(n_starts: int, tolerance: float, max_iterations: int) -> None:
     require(1 <= n_starts <= MOST_STARTS, "n_starts", f"1 to {MOST_STARTS}", n_starts)
     require(0.0 < tolerance < np.inf, "tolerance", "a positive number of nats per beam", tolerance)
-    if max_iterations < 1:
-        raise InvalidInputError(f"max_iterations: expected at least 1, got {max_iterations}")
+    require(max_iterations >= 1, "max_iterations", "at least 1", max_iterations)
 
 
 def _screen(

@@ -106,7 +106,7 @@ def _numbers(causes: ArrayLike) -> NDArray[np.int64]:
         if unknown:
             raise InvalidInputError(f"causes: expected names among {', '.join(CAUSES)}, got {unknown[0]!r}")
         return np.array([CAUSES.index(name) for name in column.tolist()], dtype=np.int64)
-    if column.dtype.kind not in "iu" or (column.size and not 0 <= column.min() <= column.max() < len(CAUSES)):
+    if column.size and (column.dtype.kind not in "iu" or not 0 <= column.min() <= column.max() < len(CAUSES)):
         raise InvalidInputError("causes: expected names or positions 0 to 3 (hit, short, max, rand)")
     return column.astype(np.int64)
 
@@ -134,7 +134,6 @@ def _closed_form(
     theta[VARIANCE] = np.mean((z[hit] - expected[hit]) ** 2)
     total = float(z[short].sum())
     theta[RATE] = counts[W_SHORT] / total if total > 0.0 else (problem.upper[RATE] if short.any() else 0.0)
-    theta = np.clip(theta, problem.lower, problem.upper)
     return problem.apply(theta)
 
 
@@ -150,6 +149,6 @@ def _known_statistics(
         node_ranges=expected,
         node_hit=np.stack([hit, error, error**2]),
         node_short=short,
-        sum_short_range=float(z @ short) if np.isfinite(z).all() else float(z[short > 0.0].sum()),
+        sum_short_range=float(z[causes == W_SHORT].sum()),
         cut_matters=True,
     )

@@ -71,7 +71,7 @@ class LearningProblem:
         """
         new = np.clip(np.where(self.free, theta, self.held), self.lower, self.upper)
         free = self.free[:4]
-        rest = 1.0 - new[:4][~free].sum()
+        rest = max(1.0 - new[:4][~free].sum(), 0.0)
         if free.any():
             total = new[:4][free].sum()
             share = new[:4] / total if total > 0.0 else 1.0 / free.sum()

@@ -157,7 +157,7 @@ class IntrinsicLikelihood:
         It is a likelihood on the CPU whose readings at maximum range count in proportion; self where there are fewer
         than 2 n beams with a return.
         """
-        stride = int(self.ranges.size // max(n, 1))
+        stride = self.ranges.size // n
         if stride < 2:
             return self
         other = self._shallow_copy()
@@ -208,7 +208,7 @@ class IntrinsicLikelihood:
         return ExpectedStatistics(
             log_likelihood=float(totals[0] + log_max),
             counts=np.array([totals[1], totals[2], self.n_max, totals[3]]),
-            node_ranges=self._node_ranges(bins),
+            node_ranges=(bins.centres[:, None] + bins.half_widths[:, None] * NODES).reshape(-1),
             node_hit=np.ascontiguousarray(nodes[:, :3].transpose(1, 0, 2).reshape(3, -1)),
             node_short=np.ascontiguousarray(nodes[:, 3].reshape(-1)),
             sum_short_range=float(totals[4]),
@@ -276,10 +276,6 @@ class IntrinsicLikelihood:
             work(int(limits[first]), int(limits[last]))
 
         run_in_blocks(task, n_tasks, work_per_row=_BEAMS_PER_TASK)
-
-    @staticmethod
-    def _node_ranges(bins: Bins) -> FloatArray:
-        return np.asarray((bins.centres[:, None] + bins.half_widths[:, None] * NODES).reshape(-1))
 
 
 def mixture_of(theta: FloatArray, span: float, min_range: float) -> Mixture:

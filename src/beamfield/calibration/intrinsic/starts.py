@@ -38,7 +38,7 @@ def data_driven_starts(likelihood: IntrinsicLikelihood, problem: LearningProblem
     near = z[error < offset - 4.0 * spread]
     rate = 1.0 / max(float(near.mean()), 1e-3 * max_range) if near.size else 1.0 / float(max(expected.mean(), 1e-3))
     starts = []
-    for width, relative_rate, (hit, short, rand) in _STARTS[: max(n, 1)]:
+    for width, relative_rate, (hit, short, rand) in _STARTS[:n]:
         returned = 1.0 - share_max
         variance = (width * spread) ** 2
         slope = (0.3 * width * spread / max(float(np.median(expected)), 1e-3 * max_range)) ** 2

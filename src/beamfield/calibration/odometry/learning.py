@@ -132,7 +132,11 @@ def calibrate_odometry(
         systematic=systematic.errors,
         alphas=DifferentialMotion(**floored),
         chosen=chosen,
-        candidates=(fit.as_candidate(DEFAULT, default), *ours, other),
+        candidates=(
+            NoiseCandidate("nav2's default, 0.2", DEFAULT, (), default.mean, 0.0, 0.0, tuple(default.by_block)),
+            *ours,
+            other,
+        ),
         corrected_alpha=corrected,
         by_length=_by_length(cut),
         coverage=float(inside.mean()),
@@ -211,10 +215,6 @@ class _WindowFit:
         covariance = self.reference + self.windows.covariance(model)[self.kept]
         return judged(log_densities(self.residuals, covariance), self.blocks)
 
-    def as_candidate(self, default: DifferentialMotion, score: HeldOut) -> NoiseCandidate:
-        """Return the stacks' default among the candidates."""
-        return NoiseCandidate("nav2's default, 0.2", default, (), score.mean, 0.0, 0.0, tuple(score.by_block))
-
     def systematic_errors(self) -> tuple[SystematicErrors, float]:
         """Return the systematic errors that the drive shows, and the common alpha without them."""
         design, unit = self.windows.design()[self.kept], self.units(ONE_ALPHA)
@@ -268,10 +268,8 @@ def _simplest_of_the_best(candidates: list[NoiseCandidate]) -> NoiseCandidate:
     best = max(candidates, key=lambda one: one.score if np.isfinite(one.score) else -np.inf)
 
     def is_as_good(one: NoiseCandidate) -> bool:
-        difference = np.array(best.score_by_block) - np.array(one.score_by_block)
-        difference = difference[np.isfinite(difference)]
-        few = one is best or len(difference) < 2
-        return few or bool(difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)))
+        behind, error = HeldOut(np.array(best.score_by_block)).gain_over(HeldOut(np.array(one.score_by_block)))
+        return not behind > error  # also where there are too few blocks to tell
 
     return next(one for one in candidates if is_as_good(one))
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, check_magnitude, require
 from beamfield.calibration.odometry.noise_family import NoiseFamily
 from beamfield.calibration.odometry.noise_fit import fit_levels, matched_levels
 from beamfield.calibration.odometry.windows import OdometryWindows
-from beamfield.errors import InvalidInputError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.models.differential_motion import DifferentialMotion
@@ -50,10 +48,9 @@ class OdometryOptions:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in ("update_min_d", "update_min_a", "floor", "reference_error"):
-            value = getattr(self, name)
-            if not 0.0 <= value < math.inf or (value == 0.0 and name.startswith("reference")):
-                raise InvalidInputError(f"{name}: expected a finite positive number, got {value}")
+        for name in ("update_min_d", "update_min_a", "floor"):
+            require(0.0 <= getattr(self, name) < np.inf, name, "a finite number >= 0", getattr(self, name))
+        check_magnitude("reference_error", self.reference_error)
 
 
 @dataclass(frozen=True)

@@ -156,7 +156,8 @@ def cut_odometry_windows(
     first = first[posed[first] & posed[first + length]]
     if len(first) < FEWEST_WINDOWS:
         raise TooLittleDataError(
-            f"expected at least {FEWEST_WINDOWS} windows of {length} update steps between poses, got {len(first)}"
+            f"expected at least {FEWEST_WINDOWS} windows of {length} update steps between poses, got {len(first)}: "
+            "record a longer drive"
         )
     starts, ends = poses[scans[first]], poses[scans[first + length]]
     shown = between(starts, ends)
@@ -176,7 +177,6 @@ def _reference_covariance(
     cos, sin = np.cos(starts[:, 2]), np.sin(starts[:, 2])
     turn = np.zeros((len(starts), 3, 3))
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = cos, sin, -sin, cos, 1.0
-    at_start = -turn.copy()
+    at_start = -turn
     at_start[:, 0, 2], at_start[:, 1, 2] = shown[:, 1], -shown[:, 0]
-    swapped = np.swapaxes
-    return np.asarray(turn @ of_end @ swapped(turn, 1, 2) + at_start @ of_start @ swapped(at_start, 1, 2))
+    return np.asarray(turn @ of_end @ turn.swapaxes(1, 2) + at_start @ of_start @ at_start.swapaxes(1, 2))

@@ -79,11 +79,11 @@ def read_rangers(ranges: RawDataCollector, position: RawDataCollector | None) ->
         f"{ranges.topic}: four rangers at -90, 0, 90 and 180 degrees on a drone, roll and pitch not corrected; limits "
         f"{MIN_RANGE:g} to {MAX_RANGE:g} m are those of the VL53L1X"
     )
-    scans = LaserScans(ranges.topic, "", BEARINGS, MIN_RANGE, MAX_RANGE, stamps, table[:, :4], tuple(notes))
-    if position is None:
-        return scans, None
-    when, xyz = position.table(notes)
-    where = interpolate_poses(when, np.column_stack([xyz[:, :2], np.zeros(len(xyz))]), stamps)
-    heading = wrap_angle(yaw_from_quaternion(*table[:, 5:9].T))
-    known = np.isfinite(where[:, 0])
-    return scans, Track(stamps[known], np.column_stack([where[:, :2], heading])[known])
+    track = None
+    if position is not None:
+        when, xyz = position.table(notes)
+        where = interpolate_poses(when, np.column_stack([xyz[:, :2], np.zeros(len(xyz))]), stamps)
+        heading = wrap_angle(yaw_from_quaternion(*table[:, 5:9].T))
+        known = np.isfinite(where[:, 0])
+        track = Track(stamps[known], np.column_stack([where[:, :2], heading])[known])
+    return LaserScans(ranges.topic, "", BEARINGS, MIN_RANGE, MAX_RANGE, stamps, table[:, :4], tuple(notes)), track

@@ -58,7 +58,7 @@ class PoseTopicCollector:
         return len(self._stamps)
 
     def track(self, notes: list[str], child_from_base: Transforms, target_from_frame: Transforms) -> Track:
-        """Return the robot's poses in the plane, sorted by time; where stamps are equal the last one counts.
+        """Return the robot's poses in the plane, one or more, sorted by time; of equal stamps the last one counts.
 
         Two constant motions lead to the robot from the frame that the topic is of, which may be tilted as a camera is,
         and to the frame that is asked for from the one that the poses are in, whose z may not point upwards.
@@ -66,7 +66,7 @@ class PoseTopicCollector:
         FormatError names topic and message if a pose is not finite, its quaternion is not of length 1, or the stamps go
         backwards.
         """
-        rows = np.array(self._rows, dtype=np.float64).reshape(-1, 7)
+        rows = np.array(self._rows, dtype=np.float64)
         self._check(rows)
         rotation = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
         robots = target_from_frame @ Transforms(rows[:, :3], rotation) @ child_from_base
@@ -75,12 +75,12 @@ class PoseTopicCollector:
         # The one pose of a localizer that stands may be published again and again.
         recorded = np.array(self._recorded) if self.is_odometry else None
         stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, notes, recorded)
-        last = np.append(np.diff(stamps) > 0, True) if len(stamps) else np.zeros(0, dtype=bool)
+        last = np.append(np.diff(stamps) > 0, True)
         return Track(stamps[last], poses[order][last])
 
     def _note_tilt(self, robots: Transforms, notes: list[str]) -> None:
         up = rotate(robots.rotation, np.array([0.0, 0.0, 1.0]))[:, 2]
-        tilt = float(np.degrees(np.arccos(np.clip(np.median(up), -1.0, 1.0)))) if len(up) else 0.0
+        tilt = float(np.degrees(np.arccos(np.clip(np.median(up), -1.0, 1.0))))
         if tilt > MOST_TILT_DEG:
             notes.append(
                 f"{self.topic}: by its poses the robot is tilted by {tilt:.0f} degrees (median), so they are not those "

@@ -69,15 +69,9 @@ def choose_base(content: BagContent, asked: str | None, mount_given: bool) -> st
     frames = content.frames
     if len(frames) == 0:
         return strip_slash(asked or "")
-    if mount_given:
-        sensor_frames: list[str] = []
-    else:
-        sensor_frames = [s.frame for s in content.scans if s.topic not in content.cones]
     if asked is not None:
-        base = strip_slash(asked)
-        if base not in frames:
-            raise InvalidInputError(f"{content.path}: no frame {base!r}; the log has {frames.describe()}")
-        return base
+        return _frame_called(content, asked)
+    sensor_frames = [s.frame for s in content.scans if s.topic not in content.cones and not mount_given]
     children = [topic.child for topic in content.pose_topics.values() if topic.child]
     named = [f for f in frames.frames if _last_name(f) in BASE_FRAMES]
     candidates = [f for f in dict.fromkeys([*BASE_FRAMES, *children, *named]) if f in frames]
@@ -90,6 +84,14 @@ def choose_base(content: BagContent, asked: str | None, mount_given: bool) -> st
     if not sensor_frames:
         return ""
     raise _unconnected(content, candidates, sensor_frames)
+
+
+def _frame_called(content: BagContent, name: str) -> str:
+    """Return a frame that the user names; InvalidInputError if it is not there."""
+    frame = strip_slash(name)
+    if frame not in content.frames:
+        raise InvalidInputError(f"{content.path}: no frame {frame!r}; the log has {content.frames.describe()}")
+    return frame
 
 
 def _unconnected(content: BagContent, candidates: list[str], sensor_frames: list[str]) -> FormatError:
@@ -329,9 +331,7 @@ def published_poses(content: BagContent, base: str, map_frame: str | None) -> Fl
 def _map_frame(content: BagContent, base: str, asked: str | None, notes: list[str]) -> str | None:
     frames = content.frames
     if asked is not None:
-        frame = strip_slash(asked)
-        if frame not in frames:
-            raise InvalidInputError(f"{content.path}: no frame {frame!r}; the log has {frames.describe()}")
+        frame = _frame_called(content, asked)
         if not frames.connected(frame, base):
             raise FormatError(
                 content.path,

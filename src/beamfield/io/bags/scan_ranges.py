@@ -35,6 +35,8 @@ def resolve_limits(
     5.599999904632568, which a max_range of 5.6 must include. InvalidInputError if one is not a number, or not within
     the other; FormatError if none is given and the declared ones are not 0 <= range_min < range_max <= `FARTHEST`.
     """
+    require(min_range is None or 0.0 <= min_range < np.inf, "min_range", "a finite number of metres >= 0", min_range)
+    require(max_range is None or 0.0 < max_range < np.inf, "max_range", "a finite number of metres > 0", max_range)
     low = scans.range_min if min_range is None else float(np.float32(min_range))
     high = scans.range_max if max_range is None else float(np.float32(max_range))
     farthest = FARTHEST if max_range is None else np.inf

@@ -125,7 +125,7 @@ class Line(NamedTuple):
             bad = next(word for word in words if not is_number(word))
             raise self.error(f"expected a number, got {bad[:40]!r}", field or self.words[0]) from None
 
-    def finite(self, start: int = 1, field: str | None = None) -> FloatArray:
+    def finite(self, start: int, field: str | None = None) -> FloatArray:
         """Return the words from `start` on as `numbers`, which must be finite."""
         numbers = self.numbers(start, field=field)
         absurd = ~(np.abs(numbers) < ABSURD)

@@ -25,13 +25,11 @@ MAX_DEPTH = 50
 
 # Where a value stands: the keys (and indices of lists) on the way to it.
 Place = tuple[str | int, ...]
-Spans = dict[Place, tuple[int, int]]
 
 _TAG = "tag:yaml.org,2002:"
 # Tags of angles in files for ROS 1, which has another way to write them, too.
 _ANGLES = {"!degrees": "deg", "!radians": "rad"}
-_SCALARS = {"null": "construct_yaml_null", "bool": "construct_yaml_bool", "int": "construct_yaml_int",
-            "float": "construct_yaml_float", "str": "construct_yaml_str"}  # fmt: skip
+_SCALARS = ("null", "bool", "int", "float", "str")
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +235,7 @@ class _Values:
     def __init__(self, yaml: YAML, path: Path, last_counts: bool) -> None:
         self.yaml, self.path, self.last_counts = yaml, path, last_counts
         self.lines: dict[Place, int] = {}
-        self.spans: Spans = {}
+        self.spans: dict[Place, tuple[int, int]] = {}
         self.earlier: dict[Place, tuple[tuple[int, Any], ...]] = {}
 
     def construct(self, node: Node, place: Place) -> Any:
@@ -264,9 +262,8 @@ class _Values:
             here = (*place, key)
             if key in values and not self.last_counts:
                 raise FormatError(self.path, f"duplicate key {key!r}", line=line)
-            before = [(self.lines[here], values[key])] if key in values else []
-            if before:
-                self.earlier[here] = (*self.earlier.get(here, ()), *before)
+            if key in values:
+                self.earlier[here] = (*self.earlier.get(here, ()), (self.lines[here], values[key]))
             value = self.construct(value_node, here)
             values[key] = _merged(values.get(key), value)
             self.lines[here] = line
@@ -289,7 +286,7 @@ def _construct_scalar(yaml: YAML, node: ScalarNode, path: Path) -> Any:
     if kind not in _SCALARS:
         raise _tag_error(node, path)
     try:
-        return getattr(yaml.constructor, _SCALARS[kind])(node)
+        return getattr(yaml.constructor, f"construct_yaml_{kind}")(node)
     except (YAMLError, ValueError, KeyError, IndexError) as error:
         raise FormatError(
             path, f"expected a value of type {kind}, got {shorten(node.value)}", line=node.start_mark.line + 1

@@ -101,10 +101,10 @@ def _head(scans: SensorLog, offset: float, start: float, step: float, radius: fl
         ("robot_frontlaser_offset", offset),
         ("robot_front_laser_max", scans.finder.max_range),
         ("laser_front_laser_start_angle", start),
-        ("laser_front_laser_resolution", float(np.degrees(step))),
+        ("laser_front_laser_resolution", np.degrees(step)),
         ("laser_front_laser_fov", step * (scans.finder.n_beams - 1)),
     ):
-        yield f"PARAM {name} {value!r}"
+        yield f"PARAM {name} {float(value)!r}"
     for name, value in ((RING_RADIUS, radius), (OPENING_ANGLE, scans.finder.opening_angle)):
         if value != 0.0:
             yield f"PARAM {name} {float(value)!r}"
@@ -124,7 +124,7 @@ def _scan_lines(
         stamp = f"{scans.stamps[i]:.6f}"
         yield (
             float(scans.stamps[i]),
-            (f"FLASER {z.shape[1]} {ranges} {_pose(lasers[i])} {_pose(second)} {stamp} beamfield {stamp}"),
+            f"FLASER {z.shape[1]} {ranges} {_pose(lasers[i])} {_pose(second)} {stamp} beamfield {stamp}",
         )
 
 

@@ -121,15 +121,13 @@ def _particles(line: Line) -> FloatArray:
 
 def _best_path(path: Path, particles: list[FloatArray | None], parents: list[NDArray[np.intp] | None]) -> FloatArray:
     """Return (t, 3) poses of the particle with the greatest weight over its whole path; NaN where a scan has none."""
-    known = [t for t, cloud in enumerate(particles) if cloud is not None]
+    updates = enumerate(zip(particles, parents, strict=True))
+    known = [(t, cloud, chosen) for t, (cloud, chosen) in updates if cloud is not None]
     poses = np.full((len(particles), 3), np.nan)
     earlier, weights = np.zeros(1), np.zeros(1)
-    for t in known:
-        cloud, chosen = particles[t], parents[t]
-        if cloud is None or len(cloud) == 0 or (len(earlier) not in (1, len(cloud))):
-            raise FormatError(
-                path, f"the number of particles changes at scan {t + 1} to {0 if cloud is None else len(cloud)}"
-            )
+    for t, cloud, chosen in known:
+        if len(cloud) == 0 or len(earlier) not in (1, len(cloud)):
+            raise FormatError(path, f"the number of particles changes at scan {t + 1} to {len(cloud)}")
         weights = earlier + cloud[:, 3]
         # Weights start again from 0 after resampling, so those before are carried along the ancestry.
         earlier = np.broadcast_to(earlier, weights.shape)
@@ -138,11 +136,9 @@ def _best_path(path: Path, particles: list[FloatArray | None], parents: list[NDA
                 raise FormatError(path, f"scan {t + 1}: the resampled indices do not fit its {len(cloud)} particles")
             weights = earlier = weights[chosen]
     index = int(np.argmax(weights))
-    for t in reversed(known):
-        cloud, chosen = particles[t], parents[t]
-        if cloud is not None:
-            index = index if chosen is None else int(chosen[index])
-            poses[t] = cloud[index, :3]
+    for t, cloud, chosen in reversed(known):
+        index = index if chosen is None else int(chosen[index])
+        poses[t] = cloud[index, :3]
     poses[:, 2] = wrap_angle(poses[:, 2])
     return poses
 

@@ -47,6 +47,8 @@ def read_sonar_log(folder: str | Path, options: TextOptions = DEFAULTS) -> ScanL
         )
     if not len(scans):
         raise FormatError(root / MEASUREMENTS, "no scans: the file is empty")
+    if (more := next(poses, None)) is not None:
+        raise more.error(f"the pose has no measurement: {MEASUREMENTS} ends after {len(scans)} of them")
     mounts = np.column_stack([np.zeros((len(BEARINGS_DEG), 2)), np.radians(BEARINGS_DEG)])
     nothing = np.full((len(scans), 3), np.nan)
     given = np.stack(scans.poses)

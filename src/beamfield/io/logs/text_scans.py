@@ -159,7 +159,7 @@ class TextScans:
         resolved = resolve_no_return(
             masked, rule=options.no_return, declared_max=declared_max, max_range=options.max_range
         )
-        z = np.array(resolved.ranges)
+        z = resolved.ranges
         z[:, stuck] = np.nan
         notes = [*time.notes, *(f"{self.name}: {note}" for note in resolved.notes)]
         for beam in np.flatnonzero(stuck):
@@ -201,12 +201,12 @@ def sorted_track(stamps: ArrayLike, poses: ArrayLike, name: str, notes: list[str
     Messages of several programs reach a log in any order, and every pose has its own stamp, so sorting changes no data.
     The name is for notes. If the scans are numbered, no time can be matched to them.
     """
-    if not len(np.asarray(stamps)):
+    times = np.asarray(stamps, dtype=np.float64)
+    if not len(times):
         return None
     if numbered:
         notes.append(f"{name}: left out: scans are numbered, and these times cannot be matched to them")
         return None
-    times = np.asarray(stamps, dtype=np.float64)
     track = np.asarray(poses, dtype=np.float64)
     if not np.isfinite(times).all() or len(np.unique(times)) <= len(times) / 2:
         notes.append(f"{name}: the stamps are lost, so there is no odometry at its own rate")

@@ -161,7 +161,7 @@ def middle_grey(free_thresh: float, occupied_thresh: float) -> int:
 
 def _negate(yaml: YamlFile) -> bool:
     value = yaml.value("negate")
-    if isinstance(value, bool) or (isinstance(value, int) and value in (0, 1)):
+    if isinstance(value, int) and value in (0, 1):  # also false and true
         return bool(value)
     # Words that YAML 1.1 took for truth values.
     if isinstance(value, str) and value.lower() in _TRUE + _FALSE:

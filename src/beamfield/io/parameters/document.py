@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from ruamel.yaml import YAML
 
 from beamfield.errors import InvalidInputError
-from beamfield.io.files.yaml_file import YamlFile, read_yaml
+from beamfield.io.files.yaml_file import YamlFile, read_yaml, shorten
 from beamfield.printable import printable
 from beamfield.sensors import RangeFinder
 
@@ -77,7 +77,7 @@ def named_numbers(
         raise file.error(f"the key {section!r} is missing; expected a {section}.yaml of beamfield{got}")
     given = file.value(section)
     if not isinstance(given, dict):
-        raise file.error(f"expected the parameters' names and values, got {given!r}", section)
+        raise file.error(f"expected the parameters' names and values, got {shorten(given)}", section)
     for name in given:
         if name not in names:
             raise file.error(f"unknown parameter {name!r}; known parameters are {', '.join(names)}", section, name)

@@ -15,8 +15,6 @@ from beamfield.io.files.atomic import atomic_file
 from beamfield.io.recordings.recording import COLOURS, Recording, entity
 
 MAP, BASE, LASER = "map", "base_link", "laser"
-# What late listeners need: viewers may start anywhere in the recording.
-LATCHED = ("/map", "/tf_static", "/path")
 POINT_SIZE = 0.06  # metres
 # Of visualization_msgs/Marker.
 POINTS, ADD = 8, 0
@@ -38,7 +36,9 @@ def write_mcap(path: str | Path, recording: Recording) -> None:
     with atomic_file(path) as part:
         # The writer makes a folder with metadata; the mcap in it describes itself.
         folder = part.with_suffix("")
-        write_messages(folder, messages, typestore, latched=LATCHED)
+        # What late listeners need: viewers may start anywhere in the recording.
+        latched = ("/map", "/tf_static", *(f"/{entity(name)}/path" for name in recording.paths))
+        write_messages(folder, messages, typestore, latched=latched)
         next(folder.glob("*.mcap")).rename(part)
 
 

@@ -74,9 +74,10 @@ def test_a_short_log_gives_what_it_can_and_says_what_not(tmp_path, capsys):
         (["some.log"], "expected both, or neither"),
         (["--map", "some.yaml"], "expected both, or neither"),
         (["--scan", "3"], "go with a LOG"),
+        (["--mask=3:4"], "--mask: says how a LOG of your own is read, and there is none"),
         (["--seed", "-1"], "--seed: expected a whole number >= 0, got '-1'"),
     ],
-    ids=["number", "part", "no-map", "no-log", "scan", "seed"],
+    ids=["number", "part", "no-map", "no-log", "scan", "mask", "seed"],
 )
 def test_bad_input_is_one_line(tmp_path, capsys, words, message):
     assert main(["figures", *words, "--out", str(tmp_path / "x"), "--quiet"]) == 2

@@ -160,6 +160,16 @@ def test_help_and_the_list_of_figures_load_no_numerical_library():
         ),
         (["map", "run.log", "--mount", "a", "0", "0"], "--mount: expected a finite number, got 'a'."),
         (["map", "run.log", "--mount", "1", "2"], "--mount: expected 3 arguments."),
+        (
+            ["map", "run.log", "--mount", "1", "2", "361"],
+            "--mount: expected an angle of at most 360 degrees, got 361.",
+        ),
+        (
+            ["check", "run.log", "--map", "m", "--start", "1", "2", "-400"],
+            "--start: expected an angle of at most 360 degrees, got -400.",
+        ),
+        (["simulate", "--out", ""], "-o/--out: expected a name, got ''."),
+        (["inspect", ""], "LOG|MAP|POSES: expected a name, got ''."),
         (["map", "run.log", "map.yaml"], "not understood: map.yaml."),
         (["--json", "map", "run.log"], "--json: options go after the command. See beamfield --help"),
         (["-q", "map", "run.log"], "-q: options go after the command. See beamfield --help"),

@@ -101,6 +101,8 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InvalidInputError("LOG and --map: expected both, or neither for simulated data")
     if arguments.log is None and (arguments.poses is not None or arguments.scan is not None):
         raise InvalidInputError("--poses and --scan: go with a LOG of your own")
+    if arguments.log is None:
+        options.refuse_reading(arguments, "says how a LOG of your own is read, and there is none")
 
 
 def _world(arguments: argparse.Namespace, progress: StageProgress) -> FigureWorld:

@@ -64,6 +64,9 @@ class Parser(argparse.ArgumentParser):
 
     def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
         value = super()._get_value(action, arg_string)
+        # A path of no name is the folder that the shell is in: a variable that is not set would fill it with results.
+        if isinstance(value, Path) and not arg_string:
+            raise argparse.ArgumentError(action, "expected a name, got ''")
         # As a path, s3://b/x is in a folder "s3:" here: results would be written there and seem to be in the store.
         if isinstance(value, Path) and ADDRESS.match(arg_string):
             from beamfield.fleet.folder import without_secrets

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 _OPTIONS = {
     "base_frame": "--base-frame",
     "block_s": "--block",
+    "fit_scale": "--scale",
     "lone_poses": "--lone-poses",
     "map_frame": "--map-frame",
     "max_gigabytes": "--max-size",

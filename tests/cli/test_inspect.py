@@ -261,6 +261,9 @@ def test_a_bad_line_among_poses_is_named(capsys, poses_path):
         file.write("14 1 2\n")
     assert "truth.tum:22: expected 8 numbers" in refused(capsys, poses_path)
     assert "--poses: goes with a log" in refused(capsys, poses_path, "--poses", poses_path, code=2)
+    other = poses_path.with_name("other.csv")
+    other.write_text("seconds,east,north\n1,2,3\n")
+    assert "other.csv:1: expected poses (TUM lines, or CSV with a header t,x,y,theta)" in refused(capsys, other)
     assert "--stamps: says how a log is read" in refused(capsys, poses_path, "--stamps", "order", code=2)
 
 

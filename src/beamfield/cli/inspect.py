@@ -90,7 +90,8 @@ def _poses(path: Path, arguments: argparse.Namespace) -> Track | None:
     from beamfield.io.trajectory import is_pose_table, read_trajectory
 
     try:
-        if path.is_dir() or not is_pose_table(path):
+        # A table of poses by its name has been looked at as a log in vain: the reader of poses says what it expects.
+        if path.is_dir() or not (is_pose_table(path) or path.suffix in (".csv", ".tum")):
             return None
     except FormatError:  # binary
         return None

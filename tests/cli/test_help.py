@@ -168,6 +168,10 @@ def test_help_and_the_list_of_figures_load_no_numerical_library():
             ["check", "run.log", "--map", "m", "--start", "1", "2", "-400"],
             "--start: expected an angle of at most 360 degrees, got -400.",
         ),
+        (
+            ["check", "run.log", "--map", "m", "--find-rate", "1/0"],
+            "--find-rate: expected a number > 0 or a fraction such as 1/600, got '1/0'.",
+        ),
         (["simulate", "--out", ""], "-o/--out: expected a name, got ''."),
         (["inspect", ""], "LOG|MAP|POSES: expected a name, got ''."),
         (["map", "run.log", "map.yaml"], "not understood: map.yaml."),
@@ -196,6 +200,11 @@ def test_wrong_usage_is_one_line_with_the_reason_first(words, message, capsys):
     error = capsys.readouterr().err
     assert error.startswith(f"beamfield: error: {message}")
     assert error.count("\n") == 1
+
+
+def test_a_rate_may_be_typed_as_its_default_is_stated():
+    given = build_parser().parse_args(["check", "run.log", "--map", "m", "--find-rate", "1/60", "--lose-rate", "0.01"])
+    assert (given.find_rate, given.lose_rate) == (1.0 / 60.0, 0.01)
 
 
 def test_a_value_may_begin_with_a_minus():

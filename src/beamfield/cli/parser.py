@@ -146,6 +146,15 @@ def positive(text: str) -> float:
     return _number(text, float, lambda value: 0.0 < value < math.inf, "a number > 0")
 
 
+def rate(text: str) -> float:
+    """Read a number above 0, or a fraction of two, as 1/600."""
+    whole, slash, part = text.partition("/")
+    try:
+        return positive(whole) / positive(part) if slash else positive(whole)
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(f"expected a number > 0 or a fraction such as 1/600, got {text!r}") from None
+
+
 def not_negative(text: str) -> float:
     """Read a finite number from 0 on."""
     return _number(text, float, lambda value: 0.0 <= value < math.inf, "a number >= 0")

@@ -12,10 +12,9 @@ from beamfield.arguments import LARGEST
 from beamfield.detection_log import DetectionLog, group_detections
 from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import FormatError
-from beamfield.geometry import FloatArray
+from beamfield.geometry import TURN_TOLERANCE, FloatArray
 from beamfield.io.files.text_lines import Line, word_lines
 from beamfield.io.files.text_rows import is_id
-from beamfield.sensors.range_finder import TURN_TOLERANCE
 
 COLUMNS = ("stamp", "x", "y", "theta", "id", "range", "bearing")
 

@@ -58,3 +58,11 @@ def test_a_stamp_that_is_none_is_refused_by_its_number(stamp):
 def test_a_block_without_length_is_refused(length):
     with pytest.raises(InvalidInputError, match="block_s"):
         time_blocks([0.0, 1.0], length)
+
+
+def test_stamps_that_are_no_seconds_are_refused_as_such():
+    nanoseconds = np.arange(3.0) * 5e9
+    with pytest.raises(InvalidInputError, match=r"stamps: 1e\+10 s in blocks of 20 s .* expected stamps in seconds$"):
+        time_blocks(nanoseconds)
+    with pytest.raises(InvalidInputError, match=r"block_s: 1e\+10 s in blocks of 5 s .* seconds, or longer blocks$"):
+        time_blocks(nanoseconds, 5.0)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from beamfield.cli.main import main
 from beamfield.figures.gallery import FIGURES
+from beamfield.io.maps.ros_map_writer import write_map
+from beamfield.maps.occupancy import OccupancyGrid
 from tests.cli.simulated import simulated
 
 
@@ -34,7 +37,15 @@ def test_a_log_of_ones_own_is_drawn(tmp_path, capsys):
     assert "drawn from: log.carmen" in capsys.readouterr().out
     # An error leaves no folder behind.
     assert main([*words[:-1], "100", "--out", str(tmp_path / "none"), "--quiet"]) == 2
-    assert "the log has scans 0 to 99, got 100" in capsys.readouterr().err
+    assert "error: --scan: the log has scans 0 to 99, got 100" in capsys.readouterr().err
+    # What is wrong with a file is not wrong usage, and the file is named.
+    assert main([*words[:-2], "--mask=-180:180", "--out", str(tmp_path / "none"), "--quiet"]) == 1
+    error = capsys.readouterr().err
+    assert f"error: {world / 'log.carmen'}: no scan has both a reference pose and a measured range" in error
+    write_map(OccupancyGrid(np.zeros((9, 9)), 0.1), tmp_path / "hall.yaml")
+    words[3] = str(tmp_path / "hall.yaml")
+    assert main([*words, "--out", str(tmp_path / "none"), "--quiet"]) == 1
+    assert f"error: {words[3]}: the map has no occupied cell" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
 

@@ -32,6 +32,8 @@ _LEADING = {
     "passed": "--passed",
     "resolution": "--resolution",
     "roughness": "--roughness",
+    "scan": "--scan",
+    "scheduler": "--scheduler",
     "section": "--section",
     "sites": "--sites",
     "stack": "--stack",

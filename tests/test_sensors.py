@@ -110,6 +110,10 @@ class TestIndexing:
             with pytest.raises(IndexError, match=f"expected a scan from -3 to 2, got {index}"):
                 ask(index)
 
+    def test_a_truth_value_is_no_number_of_a_scan(self):
+        with pytest.raises(InvalidInputError, match="index: expected a whole number, got True"):
+            three_scans()[True]
+
     def test_a_scan_gives_scans_of_some_beams(self):
         scan = three_scans()[0]
         assert scan[1:].ranges.tolist() == scan[[1, 2]].ranges.tolist() == [2.0, 3.0]

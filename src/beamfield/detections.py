@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import LARGEST, check_fields, keep, require, restore
+from beamfield.arguments import LARGEST, as_floats, check_fields, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.indices import subset_of
@@ -150,7 +150,7 @@ def finite_copy(values: ArrayLike, name: str) -> FloatArray:
 
     InvalidInputError names one, with its index, that is not finite, or so large that sums overflow (beyond 1e9).
     """
-    array = np.array(values, dtype=np.float64, order="C")
+    array = np.array(as_floats(values, name), order="C")
     usable = np.abs(array) <= LARGEST
     if not usable.all():
         where = tuple(np.argwhere(~usable)[0].tolist())

@@ -12,6 +12,8 @@ from beamfield.arguments import as_floats, as_writeable, checked, require
 from beamfield.errors import InvalidInputError
 
 FloatArray = NDArray[np.float64]
+# Headings and bearings may be rounded up to so much more than a full turn, radians.
+TURN_TOLERANCE = 1e-3
 # OpenBLAS computes dot products of up to 10,000 numbers without further threads.
 BLAS_ALONE = 9_000
 # Single poses as plain numbers: a step of arrays of one pose takes 50 us, and a filter makes several for each scan.
@@ -59,6 +61,22 @@ def as_pose(pose: ArrayLike, name: str = "pose") -> FloatArray:
     array = np.array(as_poses(pose, name))
     require(array.shape == (3,), name, "shape (3,)", array.shape)
     return array
+
+
+def as_mount(mount: ArrayLike) -> FloatArray:
+    """Return the pose of a sensor on the robot as a new array (3,); raise if it is none, or in degrees."""
+    pose = as_pose(mount, "mount")
+    require_radians("heading of mount", pose[2])
+    return pose
+
+
+def require_radians(name: str, angles: ArrayLike) -> None:
+    """Refuse angles of more than a full turn, which degrees are, nearly always."""
+    farthest = np.max(np.abs(angles), initial=0.0)
+    if 2.0 * np.pi + TURN_TOLERANCE < farthest < np.inf:
+        raise InvalidInputError(
+            f"{name}: expected radians, at most a full turn, got {farthest:g}; np.radians(...) converts degrees"
+        )
 
 
 def as_unchecked_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:

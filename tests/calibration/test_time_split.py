@@ -60,6 +60,9 @@ def test_a_block_without_length_is_refused(length):
         time_blocks([0.0, 1.0], length)
 
 
-def test_stamps_in_another_unit_are_told_by_their_blocks():
-    with pytest.raises(InvalidInputError, match="make more than 1,000,000 blocks; are the stamps in seconds"):
-        time_blocks(np.arange(10) * 1e9)
+def test_stamps_that_are_no_seconds_are_refused_as_such():
+    nanoseconds = np.arange(3.0) * 5e9
+    with pytest.raises(InvalidInputError, match=r"stamps: 1e\+10 s in blocks of 20 s .* expected stamps in seconds$"):
+        time_blocks(nanoseconds)
+    with pytest.raises(InvalidInputError, match=r"block_s: 1e\+10 s in blocks of 5 s .* seconds, or longer blocks$"):
+        time_blocks(nanoseconds, 5.0)

@@ -103,6 +103,21 @@ def test_a_csv_without_map_and_too_few_sightings_are_refused(folder, tmp_path, c
     assert "5 sightings of known landmarks at known poses, need 20" in capsys.readouterr().err
 
 
+def test_a_landmark_that_is_not_in_the_map_is_refused_by_its_line(folder, tmp_path, capsys):
+    lines = (folder / "seen.csv").read_text().splitlines()
+    fields = lines[7].split(",")
+    (tmp_path / "seen.csv").write_text("\n".join([*lines[:7], ",".join([*fields[:4], "77", *fields[5:]]), *lines[8:]]))
+    tags = str(folder / "tags.csv")
+    assert main(["calibrate-landmarks", str(tmp_path / "seen.csv"), "--landmarks", tags, "--quiet"]) == 1
+    error = capsys.readouterr().err
+    assert f"seen.csv:8: id: landmark 77 is not in {tags}: add it there, or leave the id empty" in error
+
+
+def test_what_the_learner_refuses_is_said_in_options(folder, capsys):
+    assert run(folder, "--max-range", "1") == 1
+    assert "give --max-range at least as large" in capsys.readouterr().err
+
+
 def test_a_bag_is_not_taken_for_a_mat_file(tmp_path, capsys):
     (tmp_path / "tags.bag").write_bytes(b"#ROSBAG V2.0\n")
     assert main(["calibrate-landmarks", str(tmp_path / "tags.bag"), "--landmarks", "tags.csv"]) == 1

@@ -1,5 +1,6 @@
 """The command that serves the explorer."""
 
+import json
 import socket
 
 import numpy as np
@@ -43,6 +44,16 @@ def test_it_prints_an_address_with_a_token_and_serves_it(world, served, capsys):
     assert address.startswith(f"http://127.0.0.1:{port}/?token=")
     assert "beamfield explorer" in testclient.TestClient(app, base_url=f"http://127.0.0.1:{port}").get(address).text
     assert out == "the explorer has ended\n"
+
+
+@pytest.mark.usefixtures("served")
+def test_notes_are_quiet_and_in_the_document(world, capsys):
+    assert explore(world, "--no-fit", "--mask=0:10", "--quiet", "--json") == 0
+    out, err = capsys.readouterr()
+    assert [line.split()[0] for line in err.splitlines()] == ["serving"]
+    document = json.loads(out)
+    assert any("beams masked" in note for note in document["notes"])
+    assert document["address"] in err
 
 
 def test_a_file_is_read_as_said(world, served, capsys, tmp_path):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from beamfield.cli.main import main
 from beamfield.figures.gallery import FIGURES
+from beamfield.io.maps.ros_map_writer import write_map
+from beamfield.maps.occupancy import OccupancyGrid
 from tests.cli.simulated import simulated
 
 
@@ -34,7 +37,15 @@ def test_a_log_of_ones_own_is_drawn(tmp_path, capsys):
     assert "drawn from: log.carmen" in capsys.readouterr().out
     # An error leaves no folder behind.
     assert main([*words[:-1], "100", "--out", str(tmp_path / "none"), "--quiet"]) == 2
-    assert "the log has scans 0 to 99, got 100" in capsys.readouterr().err
+    assert "error: --scan: the log has scans 0 to 99, got 100" in capsys.readouterr().err
+    # What is wrong with a file is not wrong usage, and the file is named.
+    assert main([*words[:-2], "--mask=-180:180", "--out", str(tmp_path / "none"), "--quiet"]) == 1
+    error = capsys.readouterr().err
+    assert f"error: {world / 'log.carmen'}: no scan has both a reference pose and a measured range" in error
+    write_map(OccupancyGrid(np.zeros((9, 9)), 0.1), tmp_path / "hall.yaml")
+    words[3] = str(tmp_path / "hall.yaml")
+    assert main([*words, "--out", str(tmp_path / "none"), "--quiet"]) == 1
+    assert f"error: {words[3]}: the map has no occupied cell" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
 
@@ -74,9 +85,10 @@ def test_a_short_log_gives_what_it_can_and_says_what_not(tmp_path, capsys):
         (["some.log"], "expected both, or neither"),
         (["--map", "some.yaml"], "expected both, or neither"),
         (["--scan", "3"], "go with a LOG"),
+        (["--mask=3:4"], "--mask: says how a LOG of your own is read, and there is none"),
         (["--seed", "-1"], "--seed: expected a whole number >= 0, got '-1'"),
     ],
-    ids=["number", "part", "no-map", "no-log", "scan", "seed"],
+    ids=["number", "part", "no-map", "no-log", "scan", "mask", "seed"],
 )
 def test_bad_input_is_one_line(tmp_path, capsys, words, message):
     assert main(["figures", *words, "--out", str(tmp_path / "x"), "--quiet"]) == 2

@@ -160,6 +160,20 @@ def test_help_and_the_list_of_figures_load_no_numerical_library():
         ),
         (["map", "run.log", "--mount", "a", "0", "0"], "--mount: expected a finite number, got 'a'."),
         (["map", "run.log", "--mount", "1", "2"], "--mount: expected 3 arguments."),
+        (
+            ["map", "run.log", "--mount", "1", "2", "361"],
+            "--mount: expected an angle of at most 360 degrees, got 361.",
+        ),
+        (
+            ["check", "run.log", "--map", "m", "--start", "1", "2", "-400"],
+            "--start: expected an angle of at most 360 degrees, got -400.",
+        ),
+        (
+            ["check", "run.log", "--map", "m", "--find-rate", "1/0"],
+            "--find-rate: expected a number > 0 or a fraction such as 1/600, got '1/0'.",
+        ),
+        (["simulate", "--out", ""], "-o/--out: expected a name, got ''."),
+        (["inspect", ""], "LOG|MAP|POSES: expected a name, got ''."),
         (["map", "run.log", "map.yaml"], "not understood: map.yaml."),
         (["--json", "map", "run.log"], "--json: options go after the command. See beamfield --help"),
         (["-q", "map", "run.log"], "-q: options go after the command. See beamfield --help"),
@@ -186,6 +200,11 @@ def test_wrong_usage_is_one_line_with_the_reason_first(words, message, capsys):
     error = capsys.readouterr().err
     assert error.startswith(f"beamfield: error: {message}")
     assert error.count("\n") == 1
+
+
+def test_a_rate_may_be_typed_as_its_default_is_stated():
+    given = build_parser().parse_args(["check", "run.log", "--map", "m", "--find-rate", "1/60", "--lose-rate", "0.01"])
+    assert (given.find_rate, given.lose_rate) == (1.0 / 60.0, 0.01)
 
 
 def test_a_value_may_begin_with_a_minus():

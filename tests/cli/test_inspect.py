@@ -13,6 +13,7 @@ from PIL import Image
 
 from beamfield.cli import options
 from beamfield.cli.main import main
+from beamfield.cli.parser import Parser
 from beamfield.io.bags.writer import write_bag
 from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
@@ -21,6 +22,13 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import ScanLog, Track
 from tests.cli.wall_drive import make_sensor
 from tests.io.mini_bag import MiniBag
+
+# Every option that says how a log is read, with a value.
+READING = {
+    "--sensor": ["/scan"], "--poses-topic": ["/truth"], "--map-frame": ["world"], "--base-frame": ["base"],
+    "--mount": ["1", "2", "3"], "--no-return": ["none"], "--max-range": ["5"], "--min-range": ["0"], "--mask": ["1:2"],
+    "--opening-angle": ["0"], "--stamps": ["order"], "--lone-poses": ["odometry"],
+}  # fmt: skip
 
 
 def make_grid() -> OccupancyGrid:
@@ -253,6 +261,10 @@ def test_a_bad_line_among_poses_is_named(capsys, poses_path):
         file.write("14 1 2\n")
     assert "truth.tum:22: expected 8 numbers" in refused(capsys, poses_path)
     assert "--poses: goes with a log" in refused(capsys, poses_path, "--poses", poses_path, code=2)
+    other = poses_path.with_name("other.csv")
+    other.write_text("seconds,east,north\n1,2,3\n")
+    assert "other.csv:1: expected poses (TUM lines, or CSV with a header t,x,y,theta)" in refused(capsys, other)
+    assert "--stamps: says how a log is read" in refused(capsys, poses_path, "--stamps", "order", code=2)
 
 
 def test_bad_input_is_one_line_that_names_the_file(capsys, tmp_path, map_path, log_path):
@@ -274,6 +286,11 @@ def test_options_that_do_not_fit_are_refused(capsys, tmp_path, map_path, log_pat
     picture = ("--out", tmp_path / "a.png")
     assert "--map: goes with a log" in refused(capsys, map_path, "--map", map_path, *picture, code=2)
     assert "--poses: goes with a log" in refused(capsys, map_path, "--poses", log_path, code=2)
+    parser = Parser()
+    options.add_log(parser)
+    assert READING.keys() == parser._option_string_actions.keys() - {"-h", "--help", "--max-unpacked"}
+    for option, value in READING.items():
+        assert f"{option}: says how a log is read, and {map_path}" in refused(capsys, map_path, option, *value, code=2)
     assert "topic applies to bags only" in refused(capsys, map_path, "--map-topic", "/map", code=2)
     error = refused(capsys, raw_log_path, "--map", map_path, *picture)
     assert "no scan has a reference pose to draw it on a map; give --poses FILE" in error

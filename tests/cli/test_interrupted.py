@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from beamfield.cli.main import main
+
 # The compiler's objects have destructors, in which Python prints an exception and goes on.
 IN_A_DESTRUCTOR = """
 class Held:
@@ -28,6 +30,15 @@ precompute.run = run
 how, sys.argv = sys.argv[1], "beamfield precompute map.yaml --max-range 5".split()
 sys.exit(main.main())
 """
+
+
+def test_ctrl_c_before_the_command_begins_is_no_traceback(monkeypatch, capsys):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("beamfield.cli.main.build_parser", interrupt)
+    assert main(["inspect", "run.log"]) == 130
+    assert capsys.readouterr().err == "beamfield: error: interrupted\n"
 
 
 @pytest.mark.parametrize("how", [IN_A_DESTRUCTOR, SIGTERM])

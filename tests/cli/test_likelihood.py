@@ -194,12 +194,17 @@ def test_parameters_come_from_a_calibration(folder, tmp_path, capsys):
         (("--out", "/dev/null/a.png"), "/dev/null: Not a directory", 1),
         (("--beams", "-3"), "--beams: expected a whole number >= 0, got '-3'", 2),
         (("--local-scans", "0"), "--local-scans: expected a whole number >= 1, got '0'", 2),
+        (("--local-scans", "5"), "--local-scans: is for --model map_matching", 2),
+        (("--model", "map_matching", "--beams", "5"), "--beams: map matching takes all beams", 2),
+        (("--model", "map_matching", "--no-widening"), "--no-widening: map matching has no noise of beams", 2),
+        (("--model", "map_matching", "--params", "a.yaml"), "--params: map matching has no noise of beams", 2),
+        (("--resolution", "900"), "--resolution: no place of a lattice of 900 m is free; give a finer one", 2),
         (("--headings", "0"), "--headings: expected a whole number >= 1, got '0'", 2),
         (("--threads", "0"), "--threads: expected a whole number >= 1, got '0'", 2),
         (("--poses", "missing.tum"), "missing.tum: No such file", 1),
     ],
     ids=["beyond", "negative", "silent", "empty", "solid", "sensor", "out", "npz", "folder", "beams", "local",
-         "headings", "threads", "poses"],
+         "not-local", "all-beams", "no-noise", "no-parameters", "coarse", "headings", "threads", "poses"],
 )  # fmt: skip
 def test_bad_input_is_one_line(folder, capsys, words, message, code):
     options = words if isinstance(words, dict) else {}

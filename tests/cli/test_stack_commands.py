@@ -179,6 +179,8 @@ def test_the_doctor_takes_reference_poses_from_a_file(good, tmp_path, capsys):
     assert "in the log" in found["nearly-flat"]["seen"]
     assert main(["doctor", str(good), "--poses", str(tmp_path / "poses.tum")]) == 2
     assert "--poses: are poses of a log's scans, but there is no --log" in capsys.readouterr().err
+    assert main(["doctor", str(good), "--sensor", "/scan"]) == 2
+    assert "--sensor: says how a log is read, but there is no --log" in capsys.readouterr().err
 
 
 def test_the_doctor_sees_thresholds_that_lose_cells(good, tmp_path, capsys):

@@ -14,6 +14,8 @@ from beamfield.cli.wording import in_options
         ("read with stamps='order' if", "read with --stamps order if"),
         ("(give max_range if it measures that far)", "(give --max-range if it measures that far)"),
         ("unless no_return names NaN", "unless --no-return names NaN"),
+        ("scan: the log has scans 0 to 9", "--scan: the log has scans 0 to 9"),
+        ("scheduler: expected serial", "--scheduler: expected serial"),
         ("block_s: expected a positive number", "--block: expected a positive number"),
         ("stack: expected one of nav2, got 'x'", "--stack: expected one of nav2, got 'x'"),
         ("hit: expected a probability in (0.5, 1)", "--hit: expected a probability in (0.5, 1)"),

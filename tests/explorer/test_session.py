@@ -141,6 +141,13 @@ def test_while_the_robot_is_dragged_some_beams_stand_for_all(session, log):
     assert heat_around(session.sets[NAV2], rays, weigh, log[4], tuple(POSE), 4.0, dragged=True)["rows"] == 30
 
 
+def test_a_scan_that_is_impossible_everywhere_makes_an_empty_heat_map(session, log):
+    one, impossible = session.sets[BEAM], lambda _scan, poses: np.full(len(poses), -np.inf)
+    answer = heat_around(one, one.make(one.values), impossible, log[4], tuple(POSE), 4.0, dragged=False)
+    assert answer["best_over_here"] is None
+    assert not any(base64.b64decode(answer["heat"]))
+
+
 def test_over_the_building_the_best_place_is_the_robots(session, log):
     for number in (BEAM, FIELD):
         answer = ask(session, "building", i=5, set=number, pose=POSE)
@@ -297,11 +304,13 @@ def test_a_users_file_keeps_what_was_not_moved(grid, log, tmp_path):
         ({"name": "scan", "i": 1, "pose": [1.0, 2.0], "set": 0}, "pose"),
         ({"name": "scan", "i": 1, "pose": [1.0, 2.0, float("nan")], "set": 0}, "pose"),
         ({"name": "scan", "i": 1, "pose": [1.0, 2.0, 1e300], "set": 0}, "pose"),
+        ({"name": "scan", "i": 1, "pose": [1.0, 2.0, 10**400], "set": 0}, "pose"),
         ({"name": "file", "set": 3}, "set"),
         ({"name": "scan", "i": 1, "pose": POSE, "shown": [0, 3]}, "shown"),
         ({"name": "scan", "i": 1, "pose": POSE, "shown": [0, 1, 2]}, "at most 2"),
         ({"name": "scores", "scans": list(range(12)) * 2, "sets": [0]}, "at most 20"),
         ({"name": "scores", "scans": [0], "sets": 0}, "list"),
+        ({"name": "scores", "scans": [0], "sets": []}, "sets: expected at least one"),
         ({"name": "scan", "i": 1, "pose": POSE, "set": 0, "shown": [], "parameters": []}, "parameters"),
         ({"name": "scan", "i": 1, "pose": POSE, "shown": [], "parameters": {"0": {"__class__": 1}}}, "expected names"),
         ({"name": "scan", "i": 1, "pose": POSE, "shown": [], "parameters": {"0": {"sigma_hit": -1}}}, "sigma_hit"),

@@ -101,3 +101,8 @@ def test_no_lines_have_no_corners():
 def test_senseless_limits_are_refused(option):
     with pytest.raises(InvalidInputError, match=next(iter(option))):
         find_corners([], **option)
+
+
+def test_what_are_no_features_cannot_be_stacked():
+    with pytest.raises(InvalidInputError, match="features: expected a sequence, got None"):
+        stack_features(None)

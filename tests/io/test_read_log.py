@@ -125,5 +125,7 @@ def test_bags_go_to_the_bag_reader(tmp_path, name):
     with pytest.raises(FormatError) as caught:
         read_log(path)
     assert "unknown format" not in str(caught.value)
-    with pytest.raises(InvalidInputError, match="are for text logs, this is a bag"):
+    with pytest.raises(InvalidInputError, match="stamps='order' is for text logs, this is a bag"):
         read_log(path, stamps="order")
+    with pytest.raises(InvalidInputError, match="lone_poses='odometry' is for text logs, this is a bag"):
+        read_log(path, lone_poses="odometry")

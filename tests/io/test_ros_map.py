@@ -198,6 +198,7 @@ LINE = {key: number for number, key in enumerate([*DEFAULTS, "mode"], start=1)}
         ("resolution", "true", "expected a number, got True"),
         ("resolution", "0", "expected a positive number of metres, got 0.0"),
         ("resolution", "-0.05", "expected a positive number of metres, got -0.05"),
+        ("resolution", "1e12", "expected metres per pixel, 1e-12 to 1e+09, got 1000000000000.0"),
         ("resolution", ".nan", "expected a finite number, got nan"),
         ("resolution", ".inf", "expected a finite number, got inf"),
         ("origin", "[1, 2]", "expected three numbers [x, y, yaw], got [1, 2]"),
@@ -205,6 +206,7 @@ LINE = {key: number for number, key in enumerate([*DEFAULTS, "mode"], start=1)}
         ("origin", "0", "expected three numbers"),
         ("origin", "{x: 1, y: 2, z: 3}", "expected three numbers"),
         ("origin", "[1, two, 3]", "origin.1: expected a number, got 'two'"),
+        ("origin", "[1, -1e30, 3]", "expected metres and radians up to 1e+09, got [1, -1e+30, 3]"),
         ("origin", "[1, 2, .nan]", "origin.2: expected a finite number, got nan"),
         ("negate", "2", "expected 0, 1, true or false, got 2"),
         ("negate", "maybe", "expected 0, 1, true or false, got 'maybe'"),
@@ -323,8 +325,8 @@ def test_the_saved_map_is_a_plain_pgm_that_others_read(tmp_path):
 
 
 def test_small_numbers_are_written_so_that_yaml_1_1_takes_them_for_numbers(tmp_path):
-    write_map(OccupancyGrid([[0.0]], 0.05, np.array([1e-7, -1e22, 0.0])), tmp_path / "a.yaml")
-    assert "origin: [1.0e-07, -1.0e+22, 0.0]\n" in (tmp_path / "a.yaml").read_text()
+    write_map(OccupancyGrid([[0.0]], 0.05, np.array([1e-7, -1e-22, 0.0])), tmp_path / "a.yaml")
+    assert "origin: [1.0e-07, -1.0e-22, 0.0]\n" in (tmp_path / "a.yaml").read_text()
 
 
 @pytest.mark.parametrize("name", ["with space", "12", "#1", 'quote"and\\', "größe", "a: b", "- x", "~"])

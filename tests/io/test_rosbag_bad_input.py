@@ -482,6 +482,8 @@ def test_a_bent_mount(tmp_path):
     path = MiniBag().scan(1.0).write(tmp_path)
     with pytest.raises(InvalidInputError, match="mount: expected finite"):
         read_bag(path, mount=(0.0, np.nan, 0.0))
+    with pytest.raises(InvalidInputError, match="heading of mount: expected radians, at most a full turn, got 90"):
+        read_bag(path, mount=(0.0, 0.0, 90.0))
 
 
 @pytest.mark.parametrize(("xy", "q"), [((np.nan, 0.0), (0, 0, 0, 1.0)), ((0.0, 0.0), (0.0, 0, 0, 0))])

@@ -49,6 +49,7 @@ def test_moments_without_pose_are_not_written(tmp_path):
         (HEADER + "1,0,,0,7,1,0\n", "a.csv:2: y: expected a finite number, got ''"),
         (HEADER + "1,0,0,0,7,inf,0\n", "a.csv:2: range: expected a finite number, got 'inf'"),
         (HEADER + "1,0,0,0,7,nan,0\n", "a.csv:2: range: expected a finite number, got 'nan'"),
+        (HEADER + "1,0,0,0,7,1e200,0\n", r"a.csv:2: range: expected a number up to 1e\+09, got '1e200'"),
         (HEADER + "1,0,0,0,-2,1,0\n", "a.csv:2: id: expected a whole number >= 0, -1 or nothing, got '-2'"),
         (HEADER + "1,0,0,0,7.5,1,0\n", "a.csv:2: id: .* got '7.5'"),
         (HEADER + "1,0,0,0,7,,\n", "a.csv:2: expected a range, a bearing or both, got neither"),
@@ -56,8 +57,8 @@ def test_moments_without_pose_are_not_written(tmp_path):
         (HEADER + "2,0,0,0,7,1,0\n1,0,0,0,7,1,0\n", "a.csv:3: stamp: .* not fall, got 1.0 after 2.0"),
         (HEADER + "1,0,0,0,7,1,0\n1,0,5,0,7,1,0\n", r"a.csv:3: .* one pose per stamp, got \[0.0, 5.0, 0.0\]"),
     ],
-    ids=["header", "empty", "6 values", "word", "nan pose", "no y", "inf", "nan", "id -2", "half id", "nothing",
-         "degrees", "stamps", "poses"],
+    ids=["header", "empty", "6 values", "word", "nan pose", "no y", "inf", "nan", "1e200", "id -2", "half id",
+         "nothing", "degrees", "stamps", "poses"],
 )  # fmt: skip
 def test_what_are_no_sightings_is_refused(text, message, tmp_path):
     (tmp_path / "a.csv").write_text(text)

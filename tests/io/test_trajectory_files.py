@@ -115,6 +115,8 @@ BAD = {
     "no poses": ("t,x,y,theta\n", "no poses: no row after the header"),
     "no good rows": ("t,x,y,theta,good\n1,2,3,4,0\n", "no row after the header with good = 1"),
     "missing column": ("t,x,theta\n1,2,3\n", r":1: expected columns for the time, x, y and theta"),
+    "one long line": ("t,x,theta\r" * 90, r":1: expected columns .*, got 't, x.{0,90}'$"),
+    "decimal comma": ("t;x;y;theta\n1,5;2;3;4\n", r":2: expected 4 fields, got 2: write a point for the decimal comma"),
     "fields": ("t,x,y,theta\n1,2,3,4\n1,2,3\n", r":3: expected 4 fields, got 3"),
     "number": ("t,x,y,theta\n1,2,3,north\n", r":2: pose: expected a number, got 'north'"),
     "nan": ("t,x,y,theta\n1,2,nan,0\n", r":2: pose: expected a finite number, got 'nan'"),
@@ -125,7 +127,7 @@ BAD = {
     "tum nan": ("1 2 3 0 0 0 0 1\n2 nan 3 0 0 0 0 1\n", r":2: pose: expected a finite number, got 'nan'"),
     "quaternion": ("1 2 3 0 0 0 0 1\n2 2 3 0 0 0 0 0.5\n", r":2: expected a unit quaternion.*norm 0\.5"),
     "tilted": ("1 2 3 0 0.7071 0 0 0.7071\n", r":1: the pose is tilted by 90 degrees"),
-    "overflow": ("1 2 3 0 0 0 0 1e300\n", r":1: pose: expected a finite number, got '1e300'"),
+    "overflow": ("1 2 3 0 0 0 0 1e300\n", r":1: pose: expected a finite number, up to 1e\+100, got '1e300'"),
     "unknown": ("hello\n", r"expected poses \(TUM lines, or CSV.*got 'hello'"),
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -287,6 +288,13 @@ def test_spurious_features_beyond_the_sensors_limit_are_refused(rng):
         learn(log, max_range=14.0)
 
 
+def test_ranges_of_landmarks_beyond_the_sensors_limit_are_refused(rng):
+    log = simulate(RANGE_ONLY, rng, n=30)
+    log = edited(log, lambda i, z: replace(z, ranges=z.ranges + 1e8) if i == 3 else z)
+    with pytest.raises(InvalidInputError, match=r"a range of 1e\+08 m at stamp 0\.3 is beyond .* limit of 14 m: leave"):
+        learn(log, max_range=14.0)
+
+
 def test_heavy_tails_are_found(rng):
     log = simulate(replace(RANGE_ONLY, spurious_rate=0.0), rng)
     log = edited(log, lambda _, z: replace(z, ranges=z.ranges + 0.1 * rng.standard_t(2.0, len(z))))
@@ -317,6 +325,21 @@ def test_a_landmark_in_the_wrong_place_and_noise_that_grows_are_found(rng):
     by_landmark = finding(result, "range-bias-by-landmark")
     assert by_landmark.values["id"] == 30.0
     assert by_landmark.values["worst"] > 0.1
+
+
+def test_a_landmark_that_its_sightings_do_not_fit_is_named(rng):
+    log = simulate(BOTH, rng)
+    far_off = LandmarkMap([*MAP.positions[:4], MAP.positions[4] + [4.0, 0.0]], ids=MAP.ids)
+    misplaced = finding(learn(log, far_off), "landmark-misplaced")
+    assert misplaced.values["id"] == 30.0
+    assert misplaced.values["worst"] > 0.9
+    assert misplaced.text.endswith("of the sightings of landmark 30 do not fit it.")
+    far_off = LandmarkMap(far_off.positions + np.where(MAP.ids == 7, 4.0, 0.0)[:, None], ids=MAP.ids)
+    text = finding(learn(log, far_off), "landmark-misplaced").text
+    assert re.search(r"landmark (7 .* nor do most of 30|30 .* nor do most of 7)\.", text)
+    assert "landmark-misplaced" not in names_of(learn(log))
+    # Not where most do not fit.
+    assert "landmark-misplaced" not in names_of(learn(replace(log, poses=log.poses * [1000.0, 1000.0, 1.0])))
 
 
 def test_lengths_in_other_units_and_places_of_another_frame_are_not_to_be_used(rng):

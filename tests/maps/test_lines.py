@@ -56,9 +56,10 @@ def test_ids_lead_to_indices():
         ),
         (lambda: LineMap([[1.0, 0.0]], segments=[[1.0, 0.0, 1.0, 2.0]] * 2), r"segments: expected shape \(1, 4\)"),
         (lambda: LineMap.from_segments([[1.0, 2.0, 1.0, 2.0]]), "segments: expected two different ends, got"),
+        (lambda: LineMap.from_segments(None), "segments: expected an array of numbers, got None"),
         (lambda: LineMap.from_segments([[1.0, 2.0, 1.0]]), r"segments: expected shape \(n, 4\)"),
     ],
-    ids=["none", "nan", "far", "twice", "negative", "off", "count", "point", "three numbers"],
+    ids=["none", "nan", "far", "twice", "negative", "off", "count", "point", "no segments", "three numbers"],
 )
 def test_bad_maps_are_refused(build, message):
     with pytest.raises(InvalidInputError, match=message):

@@ -65,6 +65,8 @@ def test_a_probability_at_a_threshold_is_on_its_side():
     assert grid.unknown.tolist() == [[False, True, False, True, True]]
     with pytest.raises(InvalidInputError, match="free_thresh < occupied_thresh"):
         OccupancyGrid([[0.5]], 0.1, occupied_thresh=0.3, free_thresh=0.3)
+    with pytest.raises(InvalidInputError, match=r"origin: expected numbers up to 1e\+09, got \[0.0, 1e\+30, 0.0\]"):
+        OccupancyGrid([[0.5]], 0.1, origin=(0.0, 1e30, 0.0))
 
 
 def test_cells_that_are_masked_are_not_taken_for_what_lies_below_the_mask():

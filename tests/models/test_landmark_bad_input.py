@@ -25,6 +25,11 @@ def model(correspondence: str = "known") -> LandmarkModel:
     return LandmarkModel(LANDMARKS, NOISE, correspondence=correspondence)
 
 
+def test_a_mount_in_degrees_is_refused():
+    with pytest.raises(InvalidInputError, match="heading of mount: expected radians, at most a full turn, got 90"):
+        LandmarkModel(LANDMARKS, NOISE, correspondence="sum", mount=(0.2, 0.0, 90.0))
+
+
 @pytest.mark.parametrize("correspondence", CORRESPONDENCES)
 def test_a_negative_range_near_a_landmark_has_the_density_of_the_noise(correspondence):
     value = model(correspondence).log_likelihood(Detections([-0.2], [0.5], ids=[4]), POSE)

@@ -184,6 +184,19 @@ def test_a_marker_that_is_not_in_the_map_is_refused_by_its_id():
 def test_poses_are_drawn_for_at_least_one_detection(rng):
     with pytest.raises(InvalidInputError, match="z: expected at least one detection, got none"):
         build().sample_poses(MarkerDetections([], []), 3, rng)
+    with pytest.raises(InvalidInputError, match="n: expected at least 0, got -1"):
+        build().sample_poses(MarkerDetections([4], [[1.0, 2.0, 0.0]]), -1, rng)
+
+
+@pytest.mark.parametrize("answer", ["image_of", "marker_poses", "robot_poses"])
+def test_shapes_that_do_not_broadcast_are_refused(answer):
+    with pytest.raises(InvalidInputError, match=r"expected shapes that broadcast, got \([23], 3\) and \([23], 3\)"):
+        getattr(CAMERA, answer)(np.zeros((3, 3)), np.ones((2, 3)))
+
+
+def test_a_mount_in_degrees_is_refused():
+    with pytest.raises(InvalidInputError, match=r"heading of mount: expected radians, at most a full turn, got 90"):
+        CeilingCamera(600.0, 2.4, mount=(0.2, 0.0, 90.0))
 
 
 SEVERAL = {

@@ -94,6 +94,11 @@ def test_a_building_too_small_or_too_large_is_refused(size: dict[str, float]) ->
         draw_floor_plan(**size)
 
 
+def test_a_negative_seed_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="seed: expected at least 0, got -1"):
+        draw_floor_plan(seed=-1)
+
+
 @pytest.mark.parametrize("resolution", [0.0, 0.2, np.nan])
 def test_cells_too_large_for_walls_are_refused(resolution: float) -> None:
     with pytest.raises(InvalidInputError, match="resolution: expected"):

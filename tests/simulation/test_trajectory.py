@@ -150,6 +150,8 @@ def test_a_map_without_room_for_the_robot_is_refused() -> None:
     narrow[9:12, 5:55] = 0
     with pytest.raises(InvalidInputError, match=r"no free place for a robot of radius 0\.25 m"):
         drive_through(OccupancyGrid.from_ros(narrow, 0.1), STAMPS)
+    with pytest.raises(InvalidInputError, match=r"no free place for a robot of radius 0\.25 m"):
+        drive_through(OccupancyGrid.from_ros(narrow, 1e-12), STAMPS)
 
 
 def test_a_map_with_a_single_small_room_is_refused() -> None:

@@ -34,9 +34,11 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     duration = float(times.max() - times.min())
     length = block_length(times, block_s)
     if duration > MOST_BLOCKS * length > 0:
+        # Only who gave a length is told to give another: not every command has an option for it.
+        what, longer = ("stamps", "") if block_s is None else ("block_s", ", or longer blocks")
         raise InvalidInputError(
-            f"block_s: {duration:g} s in blocks of {length:g} s make more than {MOST_BLOCKS:,} blocks; are the "
-            "stamps in seconds?"
+            f"{what}: {duration:g} s in blocks of {length:g} s make more than {MOST_BLOCKS:,} blocks; "
+            f"expected stamps in seconds{longer}"
         )
     if length <= 0:
         return np.zeros(len(times), dtype=np.int64)

@@ -25,7 +25,9 @@ from beamfield.errors import FormatError, about_file
 from beamfield.printable import printable
 
 if TYPE_CHECKING:
+    from beamfield.detection_log import DetectionLog
     from beamfield.landmark_noise.learning import LandmarkLearningResult
+    from beamfield.maps.landmarks import LandmarkMap
 
 
 # Whether a scale is learned: None lets the held-out sightings decide.
@@ -69,6 +71,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with options.progress(arguments) as progress:
         progress("reading", 0, 1)
         landmarks, log = read_sightings_log(arguments.sightings, arguments.landmarks)
+        _check_ids(landmarks, log, arguments)
         progress("learning", 0, 1)
         with about_file(arguments.sightings):
             result = learn_landmark_parameters(
@@ -91,6 +94,20 @@ def run(arguments: argparse.Namespace) -> Outcome:
         f"wrote {arguments.out}", in_options(_summary(result)), _as_dict(result), log.notes, [arguments.out],
         3 if problem else 0, problem,
     )  # fmt: skip
+
+
+def _check_ids(landmarks: LandmarkMap, log: DetectionLog, arguments: argparse.Namespace) -> None:
+    """Refuse the first sighting of a landmark that is not in --landmarks, by its line."""
+    from beamfield.detections import SPURIOUS, UNKNOWN
+    from beamfield.io.files.text_lines import word_lines
+
+    known = {*landmarks.ids.tolist(), SPURIOUS, UNKNOWN}
+    if all(known.issuperset(seen.ids.tolist()) for seen in log.detections if seen.ids is not None):
+        return
+    _, *rows = word_lines(arguments.sightings, ",")
+    row = next(row for row in rows if row.words[4] and int(row.words[4]) not in known)
+    text = f"landmark {row.words[4]} is not in {arguments.landmarks}: add it there, or leave the id empty"
+    raise row.error(text, "id")
 
 
 def _summary(result: LandmarkLearningResult) -> str:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from beamfield.cli import inputs, options
 from beamfield.cli.fitted_poses import NAME, Start, as_document, posed_log, with_map_judged
 from beamfield.cli.outcome import Outcome
-from beamfield.cli.parser import Parser, add_command, index, positive
+from beamfield.cli.parser import Parser, add_command, index, positive, rate
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, write_recordings
@@ -63,9 +63,9 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                         help="a scan_fit_reference.json of an earlier run, in place of --good")  # fmt: skip
     options.add_out(parser, "beamfield_check", metavar="DIR", what="output folder")
     parser.add_argument("--worst", type=index, default=6, metavar="N", help="worst scans to list and draw (default: 6)")
-    parser.add_argument("--lose-rate", type=positive, default=1.0 / 600.0, metavar="HZ",
+    parser.add_argument("--lose-rate", type=rate, default=1.0 / 600.0, metavar="HZ",
                         help="how often the robot gets lost, before any scan is seen (default: 1/600)")  # fmt: skip
-    parser.add_argument("--find-rate", type=positive, default=1.0 / 60.0, metavar="HZ",
+    parser.add_argument("--find-rate", type=rate, default=1.0 / 60.0, metavar="HZ",
                         help="how often a lost robot finds its place (default: 1/60)")  # fmt: skip
     parser.add_argument("--reference-error", type=positive, default=0.04, metavar="M",
                         help="how wrong the poses may be where the map is right, standard deviation per axis, and a "

@@ -70,6 +70,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
     if arguments.poses is not None and arguments.log is None:
         raise InvalidInputError("--poses: are poses of a log's scans, but there is no --log")
+    if arguments.log is None:
+        options.refuse_reading(arguments, "says how a log is read, but there is no --log")
     if arguments.start is not None and (arguments.log is None or arguments.map is None):
         raise InvalidInputError("--start: is for poses of a --log that are fitted to a --map")
     with options.progress(arguments) as progress:

@@ -22,11 +22,10 @@ from typing import TYPE_CHECKING
 
 from beamfield.cli import inputs, options
 from beamfield.cli.fitted_poses import posed_log
-from beamfield.cli.outcome import Outcome
+from beamfield.cli.outcome import Outcome, show_notes
 from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.terminal import complain
-from beamfield.cli.wording import in_options
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, TooLittleDataError, needs
 
 if TYPE_CHECKING:
@@ -73,8 +72,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         raise BeamfieldError(f"--port {arguments.port}: {error.strerror}; without it any free port is taken") from error
     with listening:
         session, notes = _session(arguments)
-        for note in notes:
-            complain(f"note: {in_options(note)}")
+        show_notes(notes, arguments)
         token = new_token()
         port = listening.getsockname()[1]
         address = page_address(port, token)
@@ -86,7 +84,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         server = uvicorn.Server(uvicorn.Config(app, log_level="warning", lifespan="off"))
         with suppress(KeyboardInterrupt):
             server.run(sockets=[listening])
-    return Outcome("the explorer has ended", "", {"address": address}, (), [])
+    # The notes were shown at the start.
+    return Outcome("the explorer has ended", document={"notes": list(notes), "address": address})
 
 
 def _session(arguments: argparse.Namespace) -> tuple[Session, tuple[str, ...]]:

@@ -21,7 +21,7 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import file_name
-from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError, about_file
 
 if TYPE_CHECKING:
     from beamfield.figures.gallery import ChapterFigure
@@ -101,6 +101,8 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InvalidInputError("LOG and --map: expected both, or neither for simulated data")
     if arguments.log is None and (arguments.poses is not None or arguments.scan is not None):
         raise InvalidInputError("--poses and --scan: go with a LOG of your own")
+    if arguments.log is None:
+        options.refuse_reading(arguments, "says how a LOG of your own is read, and there is none")
 
 
 def _world(arguments: argparse.Namespace, progress: StageProgress) -> FigureWorld:
@@ -110,7 +112,7 @@ def _world(arguments: argparse.Namespace, progress: StageProgress) -> FigureWorl
         progress("simulating", 0, 1)
         return simulated_world(arguments.seed)
     progress("reading", 0, 1)
-    grid = inputs.read_grid(arguments)
+    grid = inputs.read_walls(arguments)
     # The first sensor that is asked for is shown, the others are drawn beside it.
     shown = arguments.sensor[0] if arguments.sensor else None
     log = inputs.read_scans(arguments)
@@ -120,4 +122,7 @@ def _world(arguments: argparse.Namespace, progress: StageProgress) -> FigureWorl
             "no scan has a reference pose, and the figures need them; give a TUM or CSV file with --poses, as "
             "beamfield trajectory writes one from the odometry and the map",
         )
-    return world_of_log(log, grid, sensor=shown, index=arguments.scan)
+    if arguments.scan is not None:
+        return world_of_log(log, grid, sensor=shown, index=arguments.scan)
+    with about_file(arguments.log):
+        return world_of_log(log, grid, sensor=shown)

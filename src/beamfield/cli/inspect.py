@@ -74,6 +74,7 @@ def _read(arguments: argparse.Namespace) -> Content:
     path: Path = arguments.log
     if inputs.looks_like_a_map(path) or (arguments.map_topic is not None and arguments.map is None):
         options.refuse(arguments, ("map", "poses"), f"goes with a log, and {path} is read as a map")
+        options.refuse_reading(arguments, f"says how a log is read, and {path} is read as a map")
         try:
             return read_map(path, topic=arguments.map_topic)
         except FormatError as error:
@@ -89,12 +90,14 @@ def _poses(path: Path, arguments: argparse.Namespace) -> Track | None:
     from beamfield.io.trajectory import is_pose_table, read_trajectory
 
     try:
-        if path.is_dir() or not is_pose_table(path):
+        # A table of poses by its name has been looked at as a log in vain: the reader of poses says what it expects.
+        if path.is_dir() or not (is_pose_table(path) or path.suffix in (".csv", ".tum")):
             return None
     except FormatError:  # binary
         return None
     if arguments.poses is not None:
         raise InvalidInputError(f"--poses: goes with a log, and {path} is read as poses")
+    options.refuse_reading(arguments, f"says how a log is read, and {path} is read as poses")
     return read_trajectory(path)
 
 

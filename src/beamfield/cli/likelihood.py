@@ -39,6 +39,8 @@ DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_
 SONAR_DEFAULTS = {"z_hit": 0.5, "z_short": 0.05, "z_max": 0.2, "z_rand": 0.25, "sigma_hit": 0.1, "lambda_short": 0.4}
 # Without --beams, unless a file of parameters says.
 DEFAULT_BEAMS = 30
+# Without --local-scans.
+LOCAL_SCANS = 10
 # Local maps for map matching have cells of at least this size, metres: time is proportional to their number.
 LOCAL_RESOLUTION = 0.2
 # The chapter's models, as other programs call those that they have too.
@@ -74,7 +76,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     model.add_argument("--beams", type=index, metavar="N",
                        help="beams of the scan that count, equally spaced; 0: all (default: 30, or as the "
                        "file of --params says; with another number its exponent is scaled)")  # fmt: skip
-    model.add_argument("--local-scans", type=count, default=10, metavar="N",
+    model.add_argument("--local-scans", type=count, metavar="N",
                        help="map matching: scans in the local map, up to this one (default: 10)")  # fmt: skip
     options.add_log(parser)
     options.add_threads(parser)
@@ -88,6 +90,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     options.check_output(arguments.out, "out", *options.PICTURES)
     options.check_output(arguments.npz, "npz", ".npz")
+    _check_model(arguments)
     arguments = argparse.Namespace(**{**vars(arguments), "model": inputs.model_of(arguments, "beam")})
     with options.progress(arguments) as progress:
         grid, sensor, notes = inputs.read_map_and_sensor(arguments, progress)
@@ -112,6 +115,16 @@ def run(arguments: argparse.Namespace) -> Outcome:
     document = {"scan": arguments.scan, "model": arguments.model, **_found(result, measured, model, reference)}
     line, text = f"wrote {' and '.join(map(str, wrote))}", _summary(document)
     return Outcome(line, text, document, (*notes, *more), wrote, brief=text.splitlines()[1])
+
+
+def _check_model(arguments: argparse.Namespace) -> None:
+    """Refuse options of another model than the one that is asked for."""
+    if arguments.model == "map_matching":
+        options.refuse(arguments, ("params", "no_widening"), "map matching has no noise of beams")
+        if arguments.beams is not None:
+            raise InvalidInputError("--beams: map matching takes all beams")
+    elif arguments.local_scans is not None:
+        raise InvalidInputError("--local-scans: is for --model map_matching")
 
 
 def _scan(sensor: SensorLog, arguments: argparse.Namespace) -> Scan:
@@ -209,7 +222,7 @@ def _local_map(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Names
     return local_map(
         sensor,
         arguments.scan,
-        n=arguments.local_scans if joined else 1,
+        n=(arguments.local_scans or LOCAL_SCANS) if joined else 1,
         resolution=max(grid.resolution, LOCAL_RESOLUTION),
         poses=track if joined else np.zeros((len(sensor), 3)),
     )

@@ -75,7 +75,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
         "--animation", type=options.output_file, metavar="FILE", help="write the particles over time as a .gif"
     )
     start = parser.add_argument_group("start").add_mutually_exclusive_group()
-    start.add_argument("--start", type=finite, nargs=3, metavar=("X", "Y", "DEG"),
+    start.add_argument("--start", type=finite, action=options.PoseAction, nargs=3, metavar=("X", "Y", "DEG"),
                        help="the first pose, within about 0.5 m and 15 degrees (default: the first reference pose; "
                        "without one --global)")  # fmt: skip
     start.add_argument("--global", action="store_true", dest="anywhere", help="it can be anywhere on the map")

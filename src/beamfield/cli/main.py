@@ -78,6 +78,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     The words come without the program's name; None takes them from the process. Only then runs of filters start others
     beside it, which would run a script of the caller's anew.
     """
+    try:
+        return _main(arguments)
+    except KeyboardInterrupt:
+        return _fail("interrupted", INTERRUPTED)
+
+
+def _main(arguments: Sequence[str] | None) -> int:
     # Closed, as >&- does: files that are opened later would take its place.
     sys.stdout, sys.stderr = (stream or Path(os.devnull).open("w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
@@ -125,8 +132,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         home = "; only the shell knows ~, and not after =: write $HOME" if str(error.filename).startswith("~") else ""
         return _fail(f"{where}{error.strerror or error}{home}", 1)
-    except KeyboardInterrupt:
-        return _fail("interrupted", INTERRUPTED)
     except Exception as error:
         if parsed.verbose:
             traceback.print_exc()

@@ -6,6 +6,7 @@ import argparse
 import math
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from beamfield.cli.parser import count, finite, index, not_negative, positive
 from beamfield.cli.progress import StageProgress
@@ -20,8 +21,33 @@ MAP_FORMATS = "map_server .yaml, Wean .dat, or a bag"
 PICTURES = (".png", ".svg", ".pdf")
 # A new folder of such a name is a misunderstanding.
 FILES = (*PICTURES, ".gif", ".html", ".tum", ".csv", ".json", ".yaml", ".yml", ".mcap", ".bag", ".log", ".txt", ".gz")
+# What `add_log` adds, and what it is if it was not given.
+_READING_THE_LOG: dict[str, Any] = {
+    "sensor": None,
+    "poses_topic": None,
+    "map_frame": None,
+    "base_frame": None,
+    "mount": None,
+    "no_return": "detect",
+    "max_range": None,
+    "min_range": None,
+    "mask": [],
+    "opening_angle": None,
+    "stamps": "file",
+    "lone_poses": "reference",
+}
 # No range sensor of a robot reaches so many metres: millimetres do.
 MOST_REACH = 1000.0
+
+
+class PoseAction(argparse.Action):
+    """Stores x, y and an angle, which is refused beyond a full turn; later on the error would speak of radians."""
+
+    def __call__(self, _parser: Any, namespace: argparse.Namespace, values: Any, _option: str | None = None) -> None:
+        """Store three numbers."""
+        if abs(values[2]) > 360.0:
+            raise argparse.ArgumentError(self, f"expected an angle of at most 360 degrees, got {values[2]:g}")
+        setattr(namespace, self.dest, values)
 
 
 def add_out(parser: argparse.ArgumentParser, default: str | None, *, metavar: str, what: str) -> None:
@@ -52,7 +78,7 @@ def add_poses(parser: argparse.ArgumentParser, *, fitted: bool = False) -> None:
 def add_start(parser: argparse._ActionsContainer, when: str = "") -> None:
     """Add --start."""
     said = f"{when}where the log begins, to about 2 m and 45 degrees (default: searched)"
-    parser.add_argument("--start", type=finite, nargs=3, metavar=("X", "Y", "DEG"), help=said)
+    parser.add_argument("--start", type=finite, action=PoseAction, nargs=3, metavar=("X", "Y", "DEG"), help=said)
 
 
 def start_of(arguments: argparse.Namespace) -> tuple[float, float, float] | None:
@@ -98,7 +124,7 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
 
 def add_mount(parser: argparse._ActionsContainer, what: str, default: tuple[float, ...] | None = None) -> None:
     """Add --mount."""
-    parser.add_argument("--mount", type=finite, nargs=3, default=default, metavar=("X", "Y", "YAW"),
+    parser.add_argument("--mount", type=finite, action=PoseAction, nargs=3, default=default, metavar=("X", "Y", "YAW"),
                         help=f"the sensor's pose on the robot, metres and degrees{what}")  # fmt: skip
 
 
@@ -165,6 +191,13 @@ def refuse(arguments: argparse.Namespace, names: Iterable[str], why: str) -> Non
     """Refuse options, by their names in the arguments, that were given and mean nothing here."""
     for name in names:
         if getattr(arguments, name) not in (None, False):
+            raise InvalidInputError(f"--{name.replace('_', '-')}: {why}")
+
+
+def refuse_reading(arguments: argparse.Namespace, why: str) -> None:
+    """Refuse the options of `add_log` where no log is read; --max-unpacked is for maps in bags as well."""
+    for name, usual in _READING_THE_LOG.items():
+        if getattr(arguments, name) != usual:
             raise InvalidInputError(f"--{name.replace('_', '-')}: {why}")
 
 

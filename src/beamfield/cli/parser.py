@@ -64,6 +64,9 @@ class Parser(argparse.ArgumentParser):
 
     def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
         value = super()._get_value(action, arg_string)
+        # A path of no name is the folder that the shell is in: a variable that is not set would fill it with results.
+        if isinstance(value, Path) and not arg_string:
+            raise argparse.ArgumentError(action, "expected a name, got ''")
         # As a path, s3://b/x is in a folder "s3:" here: results would be written there and seem to be in the store.
         if isinstance(value, Path) and ADDRESS.match(arg_string):
             from beamfield.fleet.folder import without_secrets
@@ -141,6 +144,15 @@ def finite(text: str) -> float:
 def positive(text: str) -> float:
     """Read a finite number above 0."""
     return _number(text, float, lambda value: 0.0 < value < math.inf, "a number > 0")
+
+
+def rate(text: str) -> float:
+    """Read a number above 0, or a fraction of two, as 1/600."""
+    whole, slash, part = text.partition("/")
+    try:
+        return positive(whole) / positive(part) if slash else positive(whole)
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(f"expected a number > 0 or a fraction such as 1/600, got {text!r}") from None
 
 
 def not_negative(text: str) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 _OPTIONS = {
     "base_frame": "--base-frame",
     "block_s": "--block",
+    "fit_scale": "--scale",
     "lone_poses": "--lone-poses",
     "map_frame": "--map-frame",
     "max_gigabytes": "--max-size",
@@ -31,6 +32,8 @@ _LEADING = {
     "passed": "--passed",
     "resolution": "--resolution",
     "roughness": "--roughness",
+    "scan": "--scan",
+    "scheduler": "--scheduler",
     "section": "--section",
     "sites": "--sites",
     "stack": "--stack",

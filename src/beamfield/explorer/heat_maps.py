@@ -96,6 +96,8 @@ def heat_around(
     each = beams.scale * (weigh or model.log_likelihood)(beams.scan, poses.reshape(-1, 3)).reshape(poses.shape[:-1])
     best = np.unravel_index(int(np.argmax(each)), each.shape)
     corner = steps[0] - 0.5 * width / n
+    with np.errstate(invalid="ignore"):  # impossible everywhere
+        over_here = finite(each[best] - each[n // 2, n // 2, n_headings // 2])
     return {
         "heat": _shades(each.max(axis=2)),
         "rows": n,
@@ -103,7 +105,7 @@ def heat_around(
         "step_m": width / n,
         "origin": [pose[0] + corner, pose[1] + corner, 0.0],
         "best": poses[best],
-        "best_over_here": finite(each[best] - each[n // 2, n // 2, n_headings // 2]),
+        "best_over_here": over_here,
         "beams": [beams.used, beams.of],
     }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -77,9 +76,5 @@ class Request:
 
 
 def _is_number(value: Any) -> bool:
-    return (
-        isinstance(value, int | float)
-        and not isinstance(value, bool)
-        and math.isfinite(value)
-        and abs(value) <= FARTHEST
-    )
+    # NaN is not below a limit; a whole number may be too large to be a float.
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= FARTHEST

@@ -232,6 +232,8 @@ class Session:
         """Return by which sets scans are explained better; None for scans without a reference pose."""
         scans = request.integers("scans", len(self.log), SCORED_SCANS)
         numbers = request.integers("sets", len(self.sets), len(self.sets))
+        if not numbers:
+            raise InvalidInputError("sets: expected at least one")
         chosen = [(self.sets[k], self.sets[k].checked(request.parameters(k))) for k in numbers]
         return {"scores": [self._scores_at(i, chosen) for i in scans]}
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import checked
 from beamfield.geometry import FloatArray
 
 
@@ -42,6 +43,7 @@ class Feature:
         return float(self.measurement[2])
 
 
+@checked
 def stack_features(features: Sequence[Feature]) -> tuple[FloatArray, FloatArray]:
     """Return the measurements (n, 3) and covariances (n, 3, 3) of features, also of none.
 

@@ -179,4 +179,4 @@ def _measured(log: SensorLog) -> tuple[FloatArray, NDArray[np.int64]]:
         candidates = np.flatnonzero(posed & (counts >= fewest))
         if len(candidates):
             return z, candidates
-    raise InvalidInputError("scan: no scan has both a reference pose and a measured range")
+    raise InvalidInputError("no scan has both a reference pose and a measured range")

@@ -121,7 +121,8 @@ def read_log(
         from beamfield.io.bags.reader import read_bag
 
         if stamps != "file" or lone_poses != "reference":
-            raise InvalidInputError(f"{source}: stamps and lone_poses are for text logs, this is a bag")
+            given = f"stamps={stamps!r}" if stamps != "file" else f"lone_poses={lone_poses!r}"
+            raise InvalidInputError(f"{source}: {given} is for text logs, this is a bag")
         return _adjusted(read_bag(source, sensor_topic=sensor_topic, **bag_only, **limits), mask, opening_angle)
     for name, value in bag_only.items():
         if value is not None:

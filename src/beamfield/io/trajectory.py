@@ -204,12 +204,15 @@ def _read_csv(header: Line, rows: Iterator[Line]) -> Track:
     heading = next((n for n in (prefix + "theta", prefix + "yaw", "theta", "yaw") if n in columns), None)
     quaternion = [n for n in ("qx", "qy", "qz", "qw") if n in columns]
     if prefix + "y" not in columns or (heading is None and len(quaternion) != 4):
-        raise header.error(f"expected columns for the time, x, y and theta (or qx qy qz qw), got {', '.join(names)!r}")
+        found = ", ".join(names)[:80]
+        raise header.error(f"expected columns for the time, x, y and theta (or qx qy qz qw), got {found!r}")
     needed = [columns[n] for n in (time, prefix + "x", prefix + "y", *([heading] if heading else quaternion))]
     kept, table, indices = [], [], []
     for row in rows:
         if len(row.words) != len(names):
-            raise row.error(f"expected {len(names)} fields, got {len(row.words)}")
+            # A row is cut at its commas, and between them are what the header is cut at.
+            commas = ": write a point for the decimal comma" if any(";" in word for word in row.words) else ""
+            raise row.error(f"expected {len(names)} fields, got {len(row.words)}{commas}")
         if "good" in columns and row.pick([columns["good"]]).finite(0, field="good")[0] != 1.0:
             continue
         if "scan_index" in columns:

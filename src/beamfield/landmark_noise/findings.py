@@ -49,8 +49,8 @@ def noise_findings(
     """Name what the parameters alone do not say.
 
     The names: ``not-converged``, ``no-intervals``, ``few-blocks``, ``features-left-out``, ``range-scale``,
-    ``no-spurious``, ``many-spurious``, ``bearing-unrelated``, and for ranges and bearings ``range-bias``,
-    ``range-exact``, ``range-blocks-depend``, ``range-heavy-tails``, ``range-sigma-by-distance``,
+    ``no-spurious``, ``many-spurious``, ``landmark-misplaced``, ``bearing-unrelated``, and for ranges and bearings
+    ``range-bias``, ``range-exact``, ``range-blocks-depend``, ``range-heavy-tails``, ``range-sigma-by-distance``,
     ``range-bias-by-landmark``.
 
     The ids (N,) are of the map's landmarks; residuals (n,) are of range and bearing, bias and scale taken out;
@@ -98,6 +98,7 @@ def noise_findings(
         yield from _by_landmark(what, table.subset(used), ids, e[used], of_landmark[used], sigma)
     yield from _spurious_finding(intervals, of_landmark)
     yield from _many_spurious(of_landmark[table.landmarks >= 0])
+    yield from _misplaced(table, ids, of_landmark)
 
 
 def _is_unrelated(sigma: float, bearings: FloatArray, w: FloatArray) -> bool:
@@ -201,6 +202,31 @@ def _many_spurious(of_landmark: FloatArray) -> Iterator[Finding]:
         {"rate": rate},
         why="The noise is that of the others alone, which may fit by chance.",
         do="Check the ids and the mount, that x and y are not swapped, and that all is in metres and of one frame.",
+    )
+
+
+def _misplaced(table: SightingTable, ids: NDArray[np.int64], of_landmark: FloatArray) -> Iterator[Finding]:
+    """Name landmarks that most of their own sightings do not fit, unless that holds of most sightings of all."""
+    real = table.landmarks >= 0
+    if 1.0 - of_landmark[real].mean() > MOSTLY_SPURIOUS:
+        return
+    share: dict[int, float] = {}
+    for j in np.unique(table.landmarks[real]):
+        mine = of_landmark[table.landmarks == j]
+        if len(mine) >= FEWEST_SIGHTINGS and 1.0 - mine.mean() > MOSTLY_SPURIOUS:
+            share[int(ids[j])] = float(1.0 - mine.mean())
+    if not share:
+        return
+    worst = max(share, key=lambda name: share[name])
+    others = sorted(share.keys() - {worst})
+    beside = f", nor do most of {', '.join(map(str, others))}" if others else ""
+    yield Finding(
+        "landmark-misplaced",
+        "warning",
+        f"{share[worst]:.0%} of the sightings of landmark {worst} do not fit it{beside}.",
+        {"n": float(len(share)), "worst": share[worst], "id": float(worst)},
+        why="They count as spurious, which makes the spurious rate too high for the other landmarks.",
+        do="Check its id and where it is in the map.",
     )
 
 

@@ -140,8 +140,8 @@ def learn_landmark_parameters(
     Raises
     ------
     InvalidInputError
-        If an id is not in the map, an option is impossible, or a feature known to be spurious has a range outside
-        [0, max_range].
+        If an id is not in the map, an option is impossible, a range is beyond `max_range`, or a feature known to be
+        spurious has one below 0.
     TooLittleDataError
         If fewer than 20 features remain, or ranges do not grow with the distance although a scale was asked for.
 
@@ -176,6 +176,8 @@ def learn_landmark_parameters(
     if max_range is not None and not 0.0 < max_range < math.inf:
         raise InvalidInputError(f"max_range: expected a positive, finite number of metres, got {max_range}")
     table = _enough(sighting_table(landmark_map, log, mount=mount, block_s=block_s), fit_spurious)
+    if max_range is not None:
+        _check_reach(table, max_range)
     limit = None
     if fit_spurious and not np.isnan(table.ranges).all():
         limit = max_range if max_range is not None else max(float(np.nanmax(table.ranges)), 1e-9)
@@ -223,6 +225,17 @@ def _enough(table: SightingTable, fit_spurious: bool) -> SightingTable:
             f"unknown landmarks, {table.n_without_pose} have no pose"
         )
     return table
+
+
+def _check_reach(table: SightingTable, limit: float) -> None:
+    """Refuse ranges of landmarks beyond the limit: they would count as certain, whatever sigma that takes."""
+    beyond = (table.landmarks >= 0) & (table.ranges > limit)
+    if beyond.any():
+        i = int(beyond.argmax())
+        raise InvalidInputError(
+            f"a range of {table.ranges[i]:g} m at stamp {table.stamps[i]:.10g} is beyond the sensor's limit of "
+            f"{limit:g} m: leave it out, or give max_range at least as large"
+        )
 
 
 def _check_spurious(table: SightingTable, limit: float) -> None:

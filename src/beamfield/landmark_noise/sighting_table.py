@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import require
 from beamfield.calibration.time_split import time_blocks
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import SPURIOUS, UNKNOWN
-from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
+from beamfield.geometry import FloatArray, as_mount, compose, wrap_angle
 from beamfield.indices import subset_of
 from beamfield.maps.landmarks import LandmarkMap
 
@@ -80,8 +79,7 @@ def sighting_table(
     One row per feature with a range or a bearing; what is of no landmark has NaN as its true range and bearing.
     InvalidInputError names an id that is not in the map.
     """
-    sensor = as_poses(mount, "mount")
-    require(sensor.shape == (3,), "mount", "shape (3,)", sensor.shape)
+    sensor = as_mount(mount)
     blocks = _blocks(log, block_s)
     counts = [len(seen) for seen in log.detections]
     which = np.repeat(np.arange(len(log)), counts)

@@ -234,5 +234,7 @@ def free_cells(grid: OccupancyGrid, shape: tuple[int, int], resolution: float) -
     mask = np.zeros(shape, np.bool_)
     mask[inside] = grid.free[np.ix_(rows[rows < grid.shape[0]], cols[cols < grid.shape[1]])]
     if not mask.any():
+        if grid.free.any():
+            raise InvalidInputError(f"resolution: no place of a lattice of {resolution:g} m is free; give a finer one")
         raise InvalidInputError("grid: expected a map with free cells where a robot may be, got none")
     return mask

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.argument_kinds import expect
-from beamfield.arguments import as_floats, check_fields, check_magnitude, checked, keep, require, restore
+from beamfield.arguments import LARGEST, as_floats, check_fields, check_magnitude, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, invert, transform_points
 from beamfield.short_repr import short_repr
@@ -41,7 +41,7 @@ class OccupancyGrid:
     Raises
     ------
     InvalidInputError
-        If a value is outside its range or the grid is empty.
+        If a value is outside its range, the origin is beyond 10^9 m, or the grid is empty.
 
     References
     ----------
@@ -95,7 +95,9 @@ class OccupancyGrid:
                 "thresholds: expected 0 <= free_thresh < occupied_thresh <= 1, "
                 f"got free_thresh {self.free_thresh} and occupied_thresh {self.occupied_thresh}"
             )
-        keep(self, probability=probability, origin=as_pose(self.origin, "origin"), resolution=float(self.resolution))
+        origin = as_pose(self.origin, "origin")
+        require(np.abs(origin).max() <= LARGEST, "origin", f"numbers up to {LARGEST:g}", origin.tolist())
+        keep(self, probability=probability, origin=origin, resolution=float(self.resolution))
 
     @classmethod
     @checked

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.arguments import check_fields, keep, require, restore
-from beamfield.geometry import FloatArray, as_pose, as_poses, between, compose, invert
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_mount, as_poses, between, compose, invert
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +108,7 @@ class CeilingCamera:
             require(0.0 < value < np.inf, name, f"a positive, finite number of {unit}", value)
             keep(self, **{name: float(value)})
         point = _pair(self.principal_point, "principal_point")
-        keep(self, mount=as_pose(self.mount, "mount"), principal_point=point)
+        keep(self, mount=as_mount(self.mount), principal_point=point)
         if self.image_size is not None:
             size = _pair(self.image_size, "image_size")
             require((size > 0.0).all(), "image_size", "positive numbers of pixels", size.tolist())
@@ -141,9 +142,10 @@ class CeilingCamera:
         Raises
         ------
         InvalidInputError
-            If an argument is not finite (..., 3).
+            If an argument is not finite (..., 3), or the arguments do not broadcast.
         """
-        return compose(self.map_from_camera(poses), self._camera_from_marker(image))
+        marker = self._camera_from_marker(image)
+        return compose(_beside(self.map_from_camera(poses), marker, "poses and image"), marker)
 
     def image_of(self, markers: ArrayLike, poses: ArrayLike) -> FloatArray:
         """Return the image coordinates at which a marker shows: answer (b).
@@ -168,9 +170,10 @@ class CeilingCamera:
         Raises
         ------
         InvalidInputError
-            If an argument is not finite (..., 3).
+            If an argument is not finite (..., 3), or the arguments do not broadcast.
         """
-        image = between(self.map_from_camera(poses), as_poses(markers, "markers"))
+        there = as_poses(markers, "markers")
+        image = between(_beside(self.map_from_camera(poses), there, "poses and markers"), there)
         image[..., :2] = self.principal_point + self.scale * image[..., :2]
         return image
 
@@ -198,9 +201,10 @@ class CeilingCamera:
         Raises
         ------
         InvalidInputError
-            If an argument is not finite (..., 3).
+            If an argument is not finite (..., 3), or the arguments do not broadcast.
         """
-        map_from_camera = compose(as_poses(markers, "markers"), invert(self._camera_from_marker(image)))
+        seen = invert(self._camera_from_marker(image))
+        map_from_camera = compose(_beside(as_poses(markers, "markers"), seen, "markers and image"), seen)
         return compose(map_from_camera, invert(self.mount))
 
     def map_from_camera(self, poses: ArrayLike) -> FloatArray:
@@ -248,6 +252,17 @@ class CeilingCamera:
         marker = np.array(as_poses(image, "image"))
         marker[..., :2] = (marker[..., :2] - self.principal_point) / self.scale
         return marker
+
+
+def _beside(poses: FloatArray, others: FloatArray, names: str) -> FloatArray:
+    """Return the poses, whose shape must broadcast with that of the others."""
+    try:
+        np.broadcast_shapes(poses.shape, others.shape)
+    except ValueError:
+        raise InvalidInputError(
+            f"{names}: expected shapes that broadcast, got {poses.shape} and {others.shape}"
+        ) from None
+    return poses
 
 
 def _pair(value: ArrayLike, name: str) -> FloatArray:

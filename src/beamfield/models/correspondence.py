@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import check_fields, checked, keep, require, restore
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_pose, as_poses, pose_rows
+from beamfield.geometry import FloatArray, as_mount, as_poses, pose_rows
 from beamfield.kernels.correspondence import fill_sums, sort_by_id
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.landmarks import LandmarkMap
@@ -111,7 +111,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
         check_fields(self)
         named = self.correspondence in get_args(Correspondence)
         require(named, "correspondence", "'known', 'nearest', 'sum' or 'assignment'", self.correspondence)
-        keep(self, mount=as_pose(self.mount, "mount"))
+        keep(self, mount=as_mount(self.mount))
 
     @checked
     def log_likelihood(self, z: Z, poses: ArrayLike) -> FloatArray:

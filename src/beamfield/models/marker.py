@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import SMALLEST, as_generator, check_fields, check_magnitude, checked, keep, require, restore
+from beamfield.arguments import (
+    SMALLEST,
+    as_count,
+    as_generator,
+    check_fields,
+    check_magnitude,
+    checked,
+    keep,
+    require,
+    restore,
+)
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, pose_rows, wrap_angle
 from beamfield.kernels.marker import NEGLIGIBLE, CameraView, fill_detection_log_density, fill_scan_log_density
@@ -336,8 +346,9 @@ class MarkerModel:
         Raises
         ------
         InvalidInputError
-            If z has no detection, or a marker is not in the map.
+            If z has no detection, a marker is not in the map, or n is below 0.
         """
+        as_count(n, "n", least=0)
         if len(z) == 0:
             raise InvalidInputError("z: expected at least one detection, got none")
         image, seen = self._relative_image(z), self._seen(z)

@@ -10,13 +10,12 @@ from numpy.typing import ArrayLike
 
 from beamfield.arguments import LARGEST, as_floats, check_fields, checked, keep, require, restore
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose
+from beamfield.geometry import FloatArray, as_poses, compose, require_radians
 from beamfield.indices import as_indices
 from beamfield.short_repr import short_repr
 
 # Metres between a sensor's limits. In less, the densities of wide hits and steep shorts cannot be told from 0 / 0.
 SHORTEST_SPAN = 1e-6
-TURN_TOLERANCE = 1e-3  # radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +118,8 @@ class RangeFinder:
         """
         angles = as_floats(bearings, "bearings")
         require(angles.ndim == 1, "bearings", "shape (k,)", angles.shape)
-        _require_radians("bearings", angles)
-        _require_radians("heading of mount", as_poses(mount, "mount")[..., 2])
+        require_radians("bearings", angles)
+        require_radians("heading of mount", as_poses(mount, "mount")[..., 2])
         in_sensor = np.column_stack([np.zeros_like(angles), np.zeros_like(angles), angles])
         return cls(compose(as_poses(mount, "mount"), in_sensor), max_range, **limits)
 
@@ -160,12 +159,3 @@ class RangeFinder:
         other.__dict__.update(self.__dict__)
         keep(other, mounts=mounts)
         return other
-
-
-def _require_radians(name: str, angles: FloatArray) -> None:
-    """Refuse angles of more than a full turn, which degrees are, nearly always."""
-    farthest = np.max(np.abs(angles), initial=0.0)
-    if 2.0 * np.pi + TURN_TOLERANCE < farthest < np.inf:
-        raise InvalidInputError(
-            f"{name}: expected radians, at most a full turn, got {farthest:g}; np.radians(...) converts degrees"
-        )

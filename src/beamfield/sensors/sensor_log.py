@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import as_floats, check_fields, checked, keep, require, restore
-from beamfield.errors import NoSuchIndexError
+from beamfield.errors import InvalidInputError, NoSuchIndexError
 from beamfield.geometry import FloatArray
 from beamfield.indices import subset_of
 from beamfield.sensors.range_finder import RangeFinder
@@ -147,6 +147,8 @@ class SensorLog:
         NoSuchIndexError
             If the log has no scan of that number; it is an IndexError, too.
         """
+        if isinstance(index, bool | np.bool_):
+            raise InvalidInputError(f"index: expected a whole number, got {index}")
         if isinstance(index, Integral) and not -len(self) <= index < len(self):
             there = f"expected a scan from {-len(self)} to {len(self) - 1}" if len(self) else "the log has no scan"
             raise NoSuchIndexError(f"index: {there}, got {index}")

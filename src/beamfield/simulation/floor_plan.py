@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from beamfield.arguments import checked, require
+from beamfield.arguments import as_count, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.simulation import furniture
@@ -73,6 +73,7 @@ def draw_floor_plan(
             f"building: expected {MIN_WIDTH:g} x {MIN_HEIGHT:g} to 500 x 500 metres, got {width:g} x {height:g}"
         )
     require(0.01 <= resolution <= 0.1, "resolution", "0.01 to 0.1 metres", resolution)
+    as_count(seed, "seed", least=0)
     rng = np.random.default_rng(seed)
     canvas = Canvas(width + 2 * OUTSIDE, height + 2 * OUTSIDE, resolution)
     storey = _Storey(canvas, rng, width, height)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,16 +98,16 @@ class _FreeSpace:
         self.clearance = clearance_map(grid)
         # Between two points of a path the clearance falls by half a step at most, and again when it is resampled.
         self.needed = robot_radius + STEP + 0.01
+        # First: blocks of cells that are far too small would not fit into memory.
+        if self.clearance.max() < self.needed:
+            self._refuse(robot_radius)
         factor = max(1, round(PLANNING_CELL / grid.resolution))
         self.cell = factor * grid.resolution
         coarse = _block_minimum(self.clearance, factor)
         room = coarse >= self.needed + np.sqrt(0.5) * self.cell
         labels, n_regions = ndimage.label(room, structure=np.ones((3, 3)))
         if n_regions == 0:
-            raise InvalidInputError(
-                f"map: no free place for a robot of radius {robot_radius:g} m; "
-                f"the largest clearance is {self.clearance.max():.2f} m"
-            )
+            self._refuse(robot_radius)
         self.region = labels == 1 + np.argmax(np.bincount(labels.ravel())[1:])
         self.cells = np.argwhere(self.region)
         self.graph = _planning_graph(self.region, coarse, self.cell, COMFORT)
@@ -116,6 +117,12 @@ class _FreeSpace:
                 "map: the largest region that the robot fits in is too small to drive through: "
                 f"{len(self.cells) * self.cell**2:.1f} m^2"
             )
+
+    def _refuse(self, robot_radius: float) -> NoReturn:
+        raise InvalidInputError(
+            f"map: no free place for a robot of radius {robot_radius:g} m; "
+            f"the largest clearance is {self.clearance.max():.2f} m"
+        )
 
     def centres(self, nodes: NDArray[np.int64]) -> FloatArray:
         """Return (x, y) of nodes of the graph."""

@@ -291,6 +291,7 @@ FINDINGS = {
     "wrong-type of particles": ({"max_particles": "many"}, {}, {"max_particles": 500}, {}),
     "misspelt-name": ({"simga_hit": 0.5}, {}, {"odom_frame_id": "odom"}, {}),
     "misspelt-name of few letters": ({"z_rnad": 0.5}, {}, {"z_rand": 0.5}, {}),
+    "misspelt-name in other letters": ({"Z_Rand": 0.5}, {}, {"z_rand": 0.5}, {}),
     "weights-sum": ({"z_hit": 0.5, "z_rand": 0.6}, {}, {"z_hit": 0.5, "z_rand": 0.5}, {}),
     "weights-sum of the beam model": ({"laser_model_type": "beam"}, {},
                                       {"laser_model_type": "beam", "z_hit": 0.4}, {}),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose, interpolate_poses
+from beamfield.geometry import FloatArray, as_mount, compose, interpolate_poses
 from beamfield.io.bags.frames import TransformBuffer, Transforms, rotate, strip_slash
 from beamfield.io.bags.laser_scan import LaserScans
 from beamfield.io.bags.namespaces import holds
@@ -126,7 +126,7 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
     k = len(scans.bearings)
     in_sensor = np.column_stack([np.zeros((k, 2)), scans.bearings])
     if mount is not None:
-        return compose(as_poses(mount, "mount"), in_sensor)
+        return compose(as_mount(mount), in_sensor)
     sensor = scans.frame
     if scans.topic in content.cones or len(content.frames) == 0 or sensor == base:
         if scans.topic not in content.cones:

@@ -131,7 +131,8 @@ class Line(NamedTuple):
         absurd = ~(np.abs(numbers) < ABSURD)
         if absurd.any():
             bad = self.words[start:][int(np.argmax(absurd))]
-            raise self.error(f"expected a finite number, got {bad[:40]!r}", field or self.words[0])
+            limit = f"up to {ABSURD:g}, " if np.isfinite(float(bad)) else ""
+            raise self.error(f"expected a finite number, {limit}got {bad[:40]!r}", field or self.words[0])
         return numbers
 
     def pick(self, indices: Sequence[int]) -> Line:

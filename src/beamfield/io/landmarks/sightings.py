@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from beamfield.arguments import LARGEST
 from beamfield.detection_log import DetectionLog, group_detections
 from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import FormatError
-from beamfield.geometry import FloatArray
+from beamfield.geometry import TURN_TOLERANCE, FloatArray
 from beamfield.io.files.text_lines import Line, word_lines
 from beamfield.io.files.text_rows import is_id
-from beamfield.sensors.range_finder import TURN_TOLERANCE
 
 COLUMNS = ("stamp", "x", "y", "theta", "id", "range", "bearing")
 
@@ -27,9 +27,9 @@ def read_sightings(path: str | Path) -> DetectionLog:
     measured; an empty id is not known; the id -1 is of no landmark. Blank lines, and lines that begin with #, are left
     out.
 
-    FormatError if the header is another, a row has another length, a value is no finite number, a bearing is more than
-    a full turn (degrees), an id is no whole number >= 0 or -1, a row has neither range nor bearing, a stamp steps back,
-    or rows with one stamp have different poses.
+    FormatError if the header is another, a row has another length, a value is no finite number or beyond 10^9, a
+    bearing is more than a full turn (degrees), an id is no whole number >= 0 or -1, a row has neither range nor
+    bearing, a stamp steps back, or rows with one stamp have different poses.
     """
     source = Path(path)
     rows = word_lines(source, ",")
@@ -62,6 +62,8 @@ def _numbers(row: Line) -> FloatArray:
         empty_is_fine = name in ("id", "range", "bearing") and not word
         if not np.isfinite(number) and not empty_is_fine:
             raise row.error(f"expected a finite number, got {word[:40]!r}", name)
+        if name not in ("stamp", "id") and abs(number) > LARGEST:
+            raise row.error(f"expected a number up to {LARGEST:g}, got {word[:40]!r}", name)
     if abs(numbers[-1]) > 2.0 * math.pi + TURN_TOLERANCE:
         raise row.error(f"expected radians, at most a full turn, got {row.words[-1][:40]!r}: degrees?", "bearing")
     return numbers

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import LARGEST, SMALLEST
 from beamfield.io.files.yaml_file import YamlFile, read_yaml, shorten
 from beamfield.io.maps.map_image import MAX_PIXELS, MapImage, read_map_image
 from beamfield.maps.occupancy import OccupancyGrid
@@ -65,6 +66,8 @@ def read_ros_map(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
     resolution = yaml.number("resolution")
     if resolution <= 0:
         raise yaml.error(f"expected a positive number of metres, got {resolution!r}", "resolution")
+    if not SMALLEST <= resolution <= LARGEST:
+        raise yaml.error(f"expected metres per pixel, {SMALLEST:g} to {LARGEST:g}, got {resolution!r}", "resolution")
     origin = read_origin(yaml)
     rule = read_rule(yaml)
     image = read_map_image(_image_path(yaml), max_pixels=max_pixels)
@@ -148,7 +151,10 @@ def read_origin(yaml: YamlFile) -> NDArray[np.float64]:
     value = yaml.value("origin")
     if not isinstance(value, list) or len(value) != 3:
         raise yaml.error(f"expected three numbers [x, y, yaw], got {shorten(value)}", "origin")
-    return np.array([yaml.number("origin", i) for i in range(3)])
+    origin = np.array([yaml.number("origin", i) for i in range(3)])
+    if np.abs(origin).max() > LARGEST:
+        raise yaml.error(f"expected metres and radians up to {LARGEST:g}, got {shorten(value)}", "origin")
+    return origin
 
 
 def middle_grey(free_thresh: float, occupied_thresh: float) -> int:

@@ -146,7 +146,7 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
             yield _foreign(subject, rest, stack, [])
     yield from _foreign_names_of_filter(subject)
     for name in strange:
-        near = [one for one in own if sorted(one) == sorted(name)]  # two letters swapped
+        near = [one for one in own if sorted(one.lower()) == sorted(name.lower())]  # two letters swapped, or large
         near = near or difflib.get_close_matches(name, own, n=1, cutoff=SIMILAR)
         if name not in foreign and near and near[0] not in entries and not name.startswith(_OTHER_PREFIXES):
             yield subject.finding(

